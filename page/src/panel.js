@@ -29,7 +29,7 @@ export class Panel {
     byId("scalars").classList.toggle("four", scalars.length > 3);
     byId("overlay-row").hidden = !hello.overlay;
     byId("follow").hidden = (hello.tool_speed ?? null) === null; // no model that its training slows
-    this.offerSizes(size, hello.full || hello.compare ? 1e3 * hello.spacing : 0);
+    this.offerSizes(size, 1e3 * (hello.least_radius ?? 0));
     this.offerMaterials(hello.materials ?? []);
     this.trainingErrors = hello.training_errors;
     this.nodesError = hello.nodes_error;
@@ -40,7 +40,7 @@ export class Panel {
     this.readings = {};
   }
 
-  /** Sliders for a body of a size [m]; a full body takes no tool with a radius [mm] below its spacing. */
+  /** Sliders for a body of a size [m], which takes no tool with a radius [mm] below the least. */
   offerSizes(size, leastRadius) {
     const millimetres = (share, least) => Math.max(Math.round(1e3 * share * size), least);
     const length = (value) => `${formatNumber(value)} mm`;

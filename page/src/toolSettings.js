@@ -6,10 +6,10 @@ const COUPLING_STIFFNESS = 300; // [N/m], smooths the motion of a mouse
 const DEPTH_SHARE = 0.3; // of the length of a blade, to which a press leads it
 
 /** Initial sizes of each kind of tool, from the size of the body. */
-export function initialTools({ bounds: [low, high], spacing, full, compare, tools, tool_parameters: parameters = {} }) {
+export function initialTools({ bounds: [low, high], spacing, compare, least_radius: leastRadius = 0, tools, tool_parameters: parameters = {} }) {
   const size = Math.hypot(...high.map((part, k) => part - low[k]));
   const round = (metres) => Math.max(Math.round(1e3 * metres), 1) / 1e3;
-  const least = full || compare ? Math.ceil(2e3 * spacing) / 2e3 : 0; // of a tool that touches a full body
+  const least = Math.ceil(2e3 * leastRadius) / 2e3;
   const blade = Math.max(round(0.15 * size), 2 * least);
   const held = { friction: FRICTION, stiffness: compare ? null : COUPLING_STIFFNESS };
   const fitted = {

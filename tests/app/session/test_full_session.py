@@ -195,3 +195,34 @@ def test_forceps_pull_a_full_body_on_a_session(body, until):
     session.reset()
     assert not session.snapshot().coordinates.any()
     session.stop()
+
+
+def test_a_sheet_is_pressed_grasped_and_recorded(tmp_path, until):
+    rubber = pt.materials.NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
+    sheet = pt.Membrane(pt.disc(0.1, 0.02), rubber, 1e-3, "rim", prestretch=1.05)
+    session = Session(sheet, "Sheet")
+    assert session.hello()["least_radius"] == 2 * sheet.cloud.spacing
+    assert [each["name"] for each in session.hello()["scalars"]] == ["displacement"]
+    assert "scalpel" not in session.tool_kinds
+    session.start()
+    try:
+        session.recordings.start()
+        session.handle(validate_message({"type": "tool", "kind": "sphere", "radius": 0.04, "position": [0, 0, 0.045]}))
+        session.handle(validate_message({"type": "pose", "position": [0.0, 0.0, 0.036]}))
+        until(lambda: session.snapshot().tools[0].force[2] > 0.05)
+        session.handle(validate_message({"type": "release"}))
+        until(lambda: abs(session.snapshot().tools[0].force[2]) == 0.0)
+        session.handle(validate_message({"type": "tool", "kind": "grasp", "radius": 0.03, "position": [0.0, 0.0, 0.0]}))
+        session.handle(validate_message({"type": "pose", "position": [0.0, 0.0, 0.005]}))
+        until(lambda: session.snapshot().displacements(session.surface)[:, 2].max() > 0.0045)
+        assert session.snapshot().tools[0].force[2] < -0.05
+        before = len(session.recordings.recorder.times)
+        until(lambda: len(session.recordings.recorder.times) > before + 2)
+        session.recordings.finish(tmp_path / "sheet.h5", wait=True)
+    finally:
+        session.close()
+    recording = load_recording(tmp_path / "sheet.h5")
+    assert recording.model.prestretch == 1.05
+    show = Replay(recording)
+    assert show.hello()["full"]
+    assert show.hello()["duration"] > 0

@@ -10,7 +10,7 @@ import numpy as np
 from palpate.app.recordings.recording import Recording
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError, number_in_range
-from palpate.dynamics.solid.model import EnergySolid
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.realtime.bodies.display_surface import DisplaySurface
 from palpate.realtime.bodies.full_surface import display_surface
 from palpate.surface.labels.agreement import is_sheared
@@ -73,7 +73,7 @@ def write_deformed_labels(
 def nodal_displacements(recording: Recording, frame: int, surface: DisplaySurface) -> Floats:
     """Return the displacements (n, 3) [m] of all nodes of a recorded body; on its surface also under the tool."""
     snapshot, model = recording.snapshots[frame], recording.model
-    if isinstance(model, EnergySolid):
+    if isinstance(model, NodalModel):
         return np.asarray(snapshot.coordinates, dtype=float).reshape(-1, 3)
     displacements = np.tensordot(snapshot.coordinates, model.body.vectors[: model.count], axes=1)
     displacements[surface.nodes] = snapshot.displacements(surface)

@@ -38,6 +38,7 @@ from palpate.core.faults import InputError, integer_in_range, number_in_range
 from palpate.core.files import plain, regular_file, shortened
 from palpate.core.sealed import ArrayFile, check_arrays, loading, open_sealed, typed, write_sealed
 from palpate.dynamics.contact.shapes import tool_parameters
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.journal import is_journal
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cloud import Cloud
@@ -77,7 +78,7 @@ class Recording:
     """A recorded session."""
 
     title: str
-    model: ReducedModel | EnergySolid  # the reduced model or the full body of the session
+    model: ReducedModel | NodalModel  # the reduced model or the full body of the session
     times: Floats  # (f,) array [s]: wall-clock time, from 0
     snapshots: list[Snapshot]  # snapshots at these times
     # descriptions of the selected tools, with ``"index"``, and ``"start"``, the number of the first snapshot of each

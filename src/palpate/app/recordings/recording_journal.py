@@ -20,8 +20,8 @@ from palpate.app.recordings.snapshot_arrays import FORMAT, MAX_TITLE_LENGTH, OLD
 from palpate.core.faults import InputError
 from palpate.core.files import plain, shortened
 from palpate.core.sealed import kind_of_file
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.journal import Journal, is_journal, records
-from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.solid import body_contents
 
@@ -29,7 +29,7 @@ from palpate.reduction.storage.solid import body_contents
 class RecordingJournal:
     """A writer of the journal of a recording; the file has its name from the first snapshot on."""
 
-    def __init__(self, path: Path, title: str, model: ReducedModel | EnergySolid) -> None:
+    def __init__(self, path: Path, title: str, model: ReducedModel | NodalModel) -> None:
         self.path, self.count = path, 0  # of snapshots in the file
         self._title, self._model = shortened(title, MAX_TITLE_LENGTH), model
         self._journal: Journal | None = None

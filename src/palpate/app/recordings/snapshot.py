@@ -13,7 +13,7 @@ from palpate.dynamics.contact.shapes import TOOLS
 from palpate.realtime.record import PERIOD_FIELDS, Field, PeriodRecord
 
 if TYPE_CHECKING:
-    from palpate.dynamics.solid.model import EnergySolid
+    from palpate.dynamics.nodal.model import NodalModel
     from palpate.realtime.bodies.display_surface import DisplaySurface
     from palpate.reduction.hyper.model import ReducedModel
 
@@ -113,7 +113,7 @@ def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def training_errors(model: ReducedModel | EnergySolid) -> dict[str, Any] | None:
+def training_errors(model: ReducedModel | NodalModel) -> dict[str, Any] | None:
     """Return a model's mean errors on held-out runs, the largest error indicator with a bound, and advice; or None.
 
     The advice is None if the errors are not large. Without held-out runs there is nothing to return.

@@ -15,7 +15,7 @@ from palpate.app.recordings.snapshot import ENGINE_STATES, SNAPSHOT_FIELDS, TOOL
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
 from palpate.core.sealed import MIN_POSITIVE, Array, typed
-from palpate.dynamics.solid.model import EnergySolid
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.reduction.hyper.model import ReducedModel
 
 FORMAT, VERSION, OLDER_VERSIONS = "palpate recording", 4, (3,)
@@ -74,12 +74,12 @@ FULL_ARRAYS = {
 }
 
 
-def coordinates_type(model: ReducedModel | EnergySolid) -> str:
+def coordinates_type(model: ReducedModel | NodalModel) -> str:
     """Return the type of coordinates in a recording: nodal displacements of a full body have single precision."""
     return "<f8" if isinstance(model, ReducedModel) else "<f4"
 
 
-def recorded_arrays(model: ReducedModel | EnergySolid, cuts: bool = False, full: bool = False) -> dict[str, Array]:
+def recorded_arrays(model: ReducedModel | NodalModel, cuts: bool = False, full: bool = False) -> dict[str, Array]:
     """Return the arrays of a recording."""
     coordinates = replace(SNAPSHOT_ARRAYS["coordinates"], type=coordinates_type(model))
     tools = {f"tools/{name}": each for name, each in TOOL_ARRAYS.items()}
@@ -88,7 +88,7 @@ def recorded_arrays(model: ReducedModel | EnergySolid, cuts: bool = False, full:
 
 
 def snapshot_arrays(
-    times: Sequence[float] | Floats, snapshots: Sequence[Snapshot], model: ReducedModel | EnergySolid
+    times: Sequence[float] | Floats, snapshots: Sequence[Snapshot], model: ReducedModel | NodalModel
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays of at least one snapshot of a body at times [s] since the start."""
     values: dict[str, Any] = {name: [getattr(each, name) for each in snapshots] for name in SNAPSHOT_ARRAYS}

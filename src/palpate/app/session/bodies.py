@@ -12,8 +12,10 @@ import numpy as np
 from palpate.app.recordings.recording import RECORDING_INTERVAL
 from palpate.app.session.tool_control import NO_TOOL, SelectedTool
 from palpate.core.arrays import Floats
+from palpate.dynamics.contact.geometry import least_radius
 from palpate.dynamics.contact.shapes import TOOLS
 from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cut.surface import NO_CUT
 from palpate.realtime.bodies.cut_display import CutFullSurface
@@ -34,6 +36,7 @@ class SessionBody:
     """A reduced model that tools touch; at the start and after a reset it has `idle_tool` at `home` (3,) [m]."""
 
     is_full = False
+    least_radius = 0.0  # of a tool that touches the body [m]
     recording_interval = RECORDING_INTERVAL
     tool_kinds: tuple[str, ...] = tuple(kind for kind in TOOLS if kind != "scalpel")
     idle_tool = NO_TOOL
@@ -90,6 +93,10 @@ class FullBody(SessionBody):
 
     is_full = True
     recording_interval = FULL_INTERVAL
+
+    def __init__(self, model: NodalModel, realtime: RealtimeModel) -> None:
+        super().__init__(model, realtime)
+        self.least_radius = least_radius(model.cloud)
 
     def statistics(self, kinds: Sequence[str]) -> dict[str, Any]:
         """Return how the body was stepped."""

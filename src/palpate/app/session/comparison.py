@@ -47,7 +47,7 @@ class Comparison(Session):
 
     def hello(self) -> dict[str, Any]:
         """Return the constant properties for `hello`."""
-        return {**super().hello(), "overlay": True, "compare": True}
+        return {**super().hello(), "overlay": True, "compare": True, "least_radius": self.full.body.least_radius}
 
     def statistics(self) -> dict[str, Any]:
         """Return the statistics of the reduced model, with the pace of the slower body."""

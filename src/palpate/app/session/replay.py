@@ -16,7 +16,7 @@ from palpate.app.session.bodies import cut_statistics
 from palpate.app.session.messages import Message, describe_tools
 from palpate.app.session.tool_control import drawn_outline
 from palpate.core.faults import InputError
-from palpate.dynamics.solid.model import EnergySolid
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.realtime.bodies.display_surface import DisplaySurface
 
 
@@ -76,7 +76,7 @@ class Replay:
             "training_errors": training_errors(self.recording.model),
             "nodes_error": nodes_error(self.recording.model),
             "scalars": scalar_descriptions(self.surface), "duration": self.duration,
-            "overlay": bool(self.recording.full), "full": isinstance(self.recording.model, EnergySolid),
+            "overlay": bool(self.recording.full), "full": isinstance(self.recording.model, NodalModel),
             "errors": self.recording.full.get("errors"),
         }  # fmt: skip
 

@@ -43,8 +43,8 @@ from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.shapes import Forceps, Tool, make_tool, tool_parameters
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.foundation import Foundation
-from palpate.dynamics.solid.model import EnergySolid
-from palpate.realtime.bodies.display_surface import DisplaySurface
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.realtime.bodies.display_surface import DisplaySurface, places_at_rest
 from palpate.realtime.engine import Engine
 from palpate.realtime.instrumented import Observation, make_instrumented
 from palpate.realtime.record import Reading
@@ -80,7 +80,7 @@ class Session:
 
     def __init__(
         self,
-        model: ReducedModel | EnergySolid,
+        model: ReducedModel | NodalModel,
         title: str,
         rate: float = PERIODS_PER_SECOND,
         foundations: Sequence[Foundation] = (),
@@ -162,7 +162,8 @@ class Session:
             "tools": self.tool_kinds, "tool": tools[0], "max_tools": self.max_tools, "all_tools": tools,
             "materials": self._materials(), "rate": self.rate, "scalars": scalar_descriptions(self.surface),
             "training_errors": training_errors(self.model), "nodes_error": nodes_error(self.model), "overlay": False,
-            "full": self.body.is_full, "tool_speed": self.speed_limit,
+            "full": self.body.is_full,
+            "least_radius": self.body.least_radius, "tool_speed": self.speed_limit,
             "subtitle": self.subtitle, "notes": list(self.notes),
             **describe_tools(self.tool_kinds),
         }  # fmt: skip
@@ -485,7 +486,7 @@ class Session:
                 raise InputError("tool must be outside the body, got a position inside; put it down outside")
         for k, (tool, shown) in enumerate(zip(self.tools, snapshot.tools, strict=True)):
             if k != index and tool.active.shape is not None:
-                check_clear(self.model.cloud.points, shape, pose, k, tool.active.shape, shown)
+                check_clear(places_at_rest(self.model.cloud), shape, pose, k, tool.active.shape, shown)
 
     def follow_device(self, position: Floats, quaternion: Floats, sequence: int, index: int = 0) -> None:
         """Move a tool of every body to the pose of a haptic device, in the frame of the body."""
@@ -544,7 +545,7 @@ class Session:
         state.since, state.pinned, state.epoch = self.engine.read().steps, False, state.epoch + 1
 
 
-def material_sliders(model: ReducedModel | EnergySolid, ratio: float) -> list[dict[str, Any]]:
+def material_sliders(model: ReducedModel | NodalModel, ratio: float) -> list[dict[str, Any]]:
     """Return the adjustable parameters for ``hello``: the shear modulus, unless the tissue has relaxation times."""
     if model.material.prony is not None:
         return []
@@ -553,7 +554,7 @@ def material_sliders(model: ReducedModel | EnergySolid, ratio: float) -> list[di
              "high": MAX_MODULUS_RATIO * modulus, "live": True}]  # fmt: skip
 
 
-def trained_speed(model: ReducedModel | EnergySolid) -> float | None:
+def trained_speed(model: ReducedModel | NodalModel) -> float | None:
     """Return the largest speed [m/s] of a pointer's tool that the training of a reduced model supports.
 
     It is None where the training was as fast as tools move at most, and for other bodies.

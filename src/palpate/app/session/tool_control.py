@@ -19,7 +19,7 @@ from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.overlap import tools_overlap
 from palpate.dynamics.contact.shapes import TOOLS, Forceps, Sphere, Tool, make_tool, tool_parameters
 from palpate.dynamics.contact.tools import Contact
-from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
+from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes, places_at_rest
 from palpate.realtime.record import ToolReading
 
 PAGE_SHAPES = ("sphere", "capsule", "grasp", "scalpel")  # which page/src/toolGlyphs.js draws
@@ -116,7 +116,7 @@ def make_forceps(
             "choose a point on the surface"
         )
     point = surface.rest[vertex].astype(float)
-    near = np.flatnonzero(np.linalg.norm(model.cloud.points - point, axis=1) <= radius * (1 + 1e-9))
+    near = np.flatnonzero(np.linalg.norm(places_at_rest(model.cloud) - point, axis=1) <= radius * (1 + 1e-9))
     if fixed_nodes(model)[near].any():
         raise InputError("position of a grasp must be away from the support, got fixed nodes; choose another place")
     return Forceps(radius, tuple(point), np.inf), vertices[vertex].astype(float)

@@ -80,8 +80,7 @@ def view(
         return open_input(source, settings, spacing, reduced, **shape | {"part": list(parts), "without": left_out})
 
     def show(opened: Input, place: Place) -> int:
-        is_solid = opened.scene is not None and opened.scene.description.body.thickness is None
-        full = is_solid and not (reduced or compare)  # the page draws no full sheet
+        full = opened.scene is not None and not (reduced or compare)
         if compare and opened.scene is not None and opened.scene.kind is not SceneKind.PACKAGE:
             raise InputError(f"compare must be left out for a full body, got {source!r:.60}; give a reduced model")
         if refine and not full:

@@ -388,14 +388,18 @@ def _candidates(load: Contact, cloud: Cloud, pairs: Ints, removed: Ints | None) 
     return np.concatenate([np.flatnonzero(reached), len(cloud) + np.flatnonzero(reached[pairs].all(axis=1))])
 
 
+def least_radius(cloud: Cloud) -> float:
+    """Return the least radius [m] of a tool: runs of solids detect one between nodes, a sheet has no inner nodes."""
+    return cloud.spacing * (1 if cloud.points.shape[1] == 3 else 2)
+
+
 def _check_tools(loads: Sequence[Contact], cloud: Cloud) -> None:
     """Raise `InputError` for tools of one name, and for tools that could pass between nodes."""
     names = [load.name for load in loads]
     for load in loads:
         if names.count(load.name) > 1:
             raise InputError(f"name of every Contact must be unique, got {load.name!r} twice; choose another name")
-        # runs of solids detect a tool between nodes; a membrane has no interior nodes
-        least = cloud.spacing * (1 if cloud.points.shape[1] == 3 else 2)
+        least = least_radius(cloud)
         if load.tool.kind not in (PLANE, BONDED, BLADE) and load.tool.sizes[0] < least:
             raise InputError(
                 f"radius of Contact {load.name!r} must be at least {least:g} m for a spacing of {cloud.spacing:g} m, "

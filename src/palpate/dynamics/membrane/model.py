@@ -127,6 +127,7 @@ class Membrane(EnergyModel):
         self.half_cell = 1.0
         self.mass_damping = number_in_range("mass_damping", mass_damping, 0.0, unit="1/s")
         self.stiffness_damping = 0.0
+        self.neighbours = neighbours
         self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=neighbours)
         self._areas = cloud.volumes / self.prestretch**2
         self.volumes = self._areas * self.thickness

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats, Ints, Singles
 from palpate.core.faults import InputError
-from palpate.dynamics.solid.model import EnergySolid
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.opening import NO_MEASURES, CutMeasures
 from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel
@@ -60,7 +61,7 @@ class DisplaySurface(Protocol):
         """Return a number (n,) for every vertex."""
 
 
-def fixed_nodes(model: ReducedModel | EnergySolid) -> NDArray[np.bool_]:
+def fixed_nodes(model: ReducedModel | NodalModel) -> NDArray[np.bool_]:
     """Return the nodes (n,) of a body's supports, those that slide included."""
     mask = np.zeros(len(model.cloud), dtype=bool)
     for group in model.fixed:
@@ -68,13 +69,20 @@ def fixed_nodes(model: ReducedModel | EnergySolid) -> NDArray[np.bool_]:
     return mask
 
 
+def places_at_rest(cloud: Cloud) -> Floats:
+    """Return the places (n, 3) [m] of nodes at rest; those of a sheet are at z = 0."""
+    return np.pad(cloud.points, ((0, 0), (0, 3 - cloud.points.shape[1])))
+
+
 class SurfaceScalars:
     """Scalars at the vertices of a surface, of which a subclass returns the stress."""
 
+    sheet = False  # whether the body is a membrane
+
     @property
     def scalars(self) -> tuple[str, ...]:
-        """Names of the scalars."""
-        return SCALAR_NAMES
+        """Names of the scalars; of a membrane only the displacement."""
+        return SCALAR_NAMES[:1] if self.sheet else SCALAR_NAMES
 
     def cauchy(self, coordinates: Floats) -> Floats:
         """Return the Cauchy stress (n, 3, 3) [Pa] at the vertices, of a solid."""
@@ -113,9 +121,8 @@ class Surface(SurfaceScalars):
         self.local_indentation = data.compliance is None  # whether stresses include that under a tool
         self.nodes, triangles = np.unique(cloud.triangles, return_inverse=True)
         self.triangles = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.uint32)
-        flat = cloud.points[self.nodes]
-        self.rest = np.zeros((len(self.nodes), 3), dtype=np.float32)
-        self.rest[:, : flat.shape[1]] = flat
+        self.rest = places_at_rest(cloud)[self.nodes].astype(np.float32)
+        self.sheet = data.kinematics.sheet
         self.fixed = fixed_nodes(model)[self.nodes]
         columns = model.body.vectors[:, self.nodes].reshape(model.count, -1)
         self._columns = np.ascontiguousarray(columns.T, dtype=np.float32)
@@ -207,11 +214,6 @@ class Surface(SurfaceScalars):
         return np.asarray(soft * static_displacements(compliance, pushes[on], on, np.arange(len(pushes))))
 
     # scalars
-
-    @property
-    def scalars(self) -> tuple[str, ...]:
-        """Names of the scalars; of a membrane only the displacement."""
-        return SCALAR_NAMES[:1] if self.model.data.kinematics.sheet else SCALAR_NAMES
 
     def cauchy(self, coordinates: Floats) -> Floats:
         if self._gradients is None:

@@ -1,7 +1,8 @@
 """Display surface of a full body: positions of its vertices, and scalars of the strained tissue.
 
-Vertices are drawn at the patches that tools meet (`palpate.meshfree.patches`), because a single node moves
-farther than the tool. Stresses are those of the nodes; tissue that relaxes has its instantaneous stiffness.
+Vertices of a solid are drawn at the patches that tools meet (`palpate.meshfree.patches`), because a single node
+moves farther than the tool; those of a sheet are nodes. Stresses are those of the nodes; tissue that relaxes has its
+instantaneous stiffness.
 """
 
 from __future__ import annotations
@@ -10,17 +11,26 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats, Ints, Singles
 from palpate.core.faults import InputError
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cut.opening import NO_MEASURES
-from palpate.realtime.bodies.display_surface import NO_CUT_LINE, DisplaySurface, Surface, SurfaceScalars, fixed_nodes
+from palpate.realtime.bodies.display_surface import (
+    NO_CUT_LINE,
+    DisplaySurface,
+    Surface,
+    SurfaceScalars,
+    fixed_nodes,
+    places_at_rest,
+)
 from palpate.reduction.hyper.model import ReducedModel
 
 
-def display_surface(model: ReducedModel | EnergySolid) -> DisplaySurface:
+def display_surface(model: ReducedModel | NodalModel) -> DisplaySurface:
     """Return the display surface of a reduced model or of a full body."""
     return Surface(model) if isinstance(model, ReducedModel) else FullSurface(model)
 
@@ -31,17 +41,20 @@ class FullSurface(SurfaceScalars):
     local_indentation = True  # stresses include the indentation under a tool
     cut_line, cut_measures = NO_CUT_LINE, NO_MEASURES
 
-    def __init__(self, model: EnergySolid) -> None:
+    def __init__(self, model: NodalModel) -> None:
         self.model = model
         surface = model.cloud.triangles
-        surface = surface[~np.isin(surface, model.removed_nodes).any(axis=1)]
+        if isinstance(model, EnergySolid):
+            surface = surface[~np.isin(surface, model.removed_nodes).any(axis=1)]
         self.nodes, triangles = np.unique(surface, return_inverse=True)
         if not len(self.nodes):
             raise InputError("cloud must have triangles to be drawn, got none; use fill, or a box")
         self.triangles = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.uint32)
-        self.rest = model.cloud.points[self.nodes].astype(np.float32)
+        self.rest = places_at_rest(model.cloud)[self.nodes].astype(np.float32)
+        self.sheet = model.kinematics.sheet
         self.fixed = fixed_nodes(model)[self.nodes]
-        self._patches = model.patches[self.nodes].astype(np.float32)
+        patches = model.patches if isinstance(model, EnergySolid) else sparse.eye_array(len(model.cloud), format="csr")
+        self._patches = patches[self.nodes].astype(np.float32)
 
     def displacements(
         self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: NDArray[np.bool_], tools: Ints

@@ -15,7 +15,7 @@ from palpate.core.deprecation import warn_renamed
 from palpate.core.describe import Fact, described_tuple
 from palpate.core.faults import InputError, brief, number_in_range
 from palpate.dynamics.contact.blade import Blade
-from palpate.dynamics.contact.geometry import rotation
+from palpate.dynamics.contact.geometry import least_radius, rotation
 from palpate.dynamics.contact.overlap import tools_overlap
 from palpate.dynamics.contact.tools import Contact, Grasp, Sphere
 from palpate.dynamics.loads.foundation import Foundation
@@ -264,7 +264,7 @@ def idle_model(
         not model.data.prescribed and model.data.compliance is not None
     )
     away = np.pad(model.cloud.points.max(axis=0), (0, 3 - model.cloud.points.shape[1])) + ABSENT_TOOL_DISTANCE
-    sphere = Sphere(model.cloud.spacing)
+    sphere = Sphere(least_radius(model.cloud))
     absent = [Contact(sphere, away + 4 * t * sphere.radius, name=f"tool {t + 1}") for t in range(tools)]
     ready = realtime_model(model, contact=absent if takes_tools else None, foundations=foundations)
     for t in range(tools if ready.change_tool is not None else 0):
