@@ -24,22 +24,6 @@ def _cloud(row: Row) -> str:
     return f"{kind}, oblique" if row.get("normal", [0.0, 0.0, 1.0])[:2] != [0.0, 0.0] else kind
 
 
-def _power(value: float) -> str:
-    """Return a small number with one digit and its power of ten."""
-    return f"{abs(value):.0e}".replace("e-0", "e-").replace("-", "−")
-
-
-@block("cuts", command=CRACKS)
-def cuts_patch(found: Row) -> str:
-    """Return the largest force under uniform stress along a cut, and of halves that turn apart."""
-    lines = []
-    for case, rows, name in (("stress along a cut", "patch", "cut"), ("halves turn apart", "halves", "force")):
-        clouds = dict.fromkeys(_cloud(row) for row in found[rows])
-        largest_force = {cloud: max(abs(row[name]) for row in found[rows] if _cloud(row) == cloud) for cloud in clouds}
-        lines.append([case, *(_power(force) for force in largest_force.values())])
-    return markdown(["case", *clouds], lines)
-
-
 @block("cuts", command=CRACKS)
 def cuts_penny(found: Row) -> str:
     """Return the largest errors of opening and energy release of a penny over Poisson's ratios."""

@@ -29,28 +29,17 @@ def elements_linear(rows: list[Row]) -> str:
 
 @block("elements", command="python validation/elements.py")
 def elements_balls(rows: list[Row]) -> str:
-    """Return the largest errors of a ball's force in per cent over two seeds, by body, spacing and depth."""
+    """Return the errors of a ball's force in per cent over bodies and seeds, by the ball's radius and depth."""
+    every = [(row["case"], ball) for row in rows for ball in row["balls"]]
     lines = []
-    for case, scale in dict.fromkeys(
-        (row["case"], row["scale"]) for row in rows if row["balls"] and row["scale"] == 1.0
-    ):
-        own = [row for row in rows if row["case"] == case and row["scale"] == scale]
-        balls = [ball for row in own for ball in row["balls"]]
-        nodes = f"{round(own[0]['nodes'], -2):,}"
-        first = [ball["errors"][0] for ball in balls]
-        lines.append([case, nodes, f"{balls[0]['radius']:.2f}", largest(first), largest(_deeper(balls))])
-    every = [ball for row in rows for ball in row["balls"]]
-    for radius in sorted({round(ball["radius"], 2) for ball in every}):
-        balls = [ball for ball in every if round(ball["radius"], 2) == radius]
-        first, deeper = ([abs(error) for error in each] for each in ([b["errors"][0] for b in balls], _deeper(balls)))
-        cells = (f"{100 * median(errors):.1f}; {largest(errors)}" for errors in (first, deeper))
-        lines.append(["all: median; largest", "", f"{radius:.2f}", *cells])
-    heads = ["body", "nodes", "radius over spacing", "error at the least depth", "deeper"]
+    for radius in sorted({round(ball["radius"], 2) for _, ball in every}):
+        some = [(case, ball) for case, ball in every if round(ball["radius"], 2) == radius]
+        first = [ball["errors"][0] for _, ball in some]
+        deeper = [error for _, ball in some for error in ball["errors"][1:] if error is not None]
+        cells = (f"{100 * median(map(abs, errors)):.1f}; {largest(errors)}" for errors in (first, deeper))
+        lines.append([f"{radius:.2f}", str(len({case for case, _ in some})), *cells])
+    heads = ["radius over spacing", "bodies", "least depth: median; largest", "deeper: median; largest"]
     return markdown(heads, lines)
-
-
-def _deeper(balls: list[Row]) -> list[float]:
-    return [error for ball in balls for error in ball["errors"][1:] if error is not None]
 
 
 @block("patches", command="python validation/patches.py --keep")
