@@ -21,7 +21,7 @@ FENCE = re.compile(r"\s*(`{3,}|~{3,}|:{3,}|\$\$$|\\begin\{[\w*]+\})")  # of code
 ITEM = re.compile(r"\s*(?:[-*+]|\d+[.)])\s+")
 KEPT = re.compile(r"\s*(?:\||#|<|!\[|\([\w-]+\)=$|\[[^\]]+\]: |[-=]{3,}$)")  # tables, headings, comments, images ...
 WORD = re.compile(r"(?:`[^`\n]*`|\S)+")  # a span of code is one word
-MARKS_A_BLOCK = re.compile(r"[-+*>#=]+|\d+[.)]|\|.*")  # would start a list, a heading or a table at a line's beginning
+MARKS_A_BLOCK = re.compile(r"[-+*>#=]+|\d+[.)]|[|%].*")  # at a line's beginning: a list, heading, table or comment
 
 
 def pages() -> Iterator[Path]:
@@ -85,10 +85,11 @@ def filled(lines: list[str]) -> list[str]:
 
 
 def wrapped(text: str) -> str:
-    """Return a page with blocks of prose filled again where one of their lines is too long."""
+    """Return a page with blocks of prose filled again where a line is too long, or is a comment of MyST."""
     out: list[str] = []
     for prose, lines in blocks(text):
-        out += filled(lines) if prose and any(len(line) > WIDTH for line in lines) else lines
+        again = prose and any(len(line) > WIDTH or line.lstrip().startswith("%") for line in lines)
+        out += filled(lines) if again else lines
     return "\n".join(out)
 
 

@@ -5,30 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 from statistics import median
 
-from figure_tables.cells import ERRORS, Row, block, markdown, percent, significant
+from figure_tables.cells import Row, block, markdown, percent
 
 CLASS_BOUNDS = (0.0, 0.03, 0.09, 1.0)  # between the classes of displacements [m]
-
-
-def _cells(found: Row, statistic: str, kinds: tuple[str, ...] = ERRORS) -> str:
-    return " / ".join(significant(100 * found[kind][statistic], 2) for kind in kinds)
-
-
-def _projection(found: Row) -> str:
-    return _cells(found, "percentile_95", ERRORS[:2])
-
-
-@block("bases", command="python validation/bases.py")
-def bases_rollouts(studies: Row) -> str:
-    """Return the errors of bases and corrections on motions inside, with all nodes."""
-    lines = []
-    for row in studies["rollouts"]:
-        errors = [_cells(row["errors"], statistic) for statistic in ("median", "percentile_95")]
-        projection = _projection(row["projection"]) if "projection" in row else ""
-        excess = percent(row["excess"]).replace("-", "−") if "excess" in row else ""  # noqa: RUF001
-        lines.append([str(row["coordinates"]), row["basis"], *errors, projection, excess])
-    heads = ["coordinates", "basis", "median", "95th percentile", "projection", "frequencies too high by"]
-    return markdown(heads, lines)
 
 
 @block("bases", command="python validation/bases.py states")
@@ -49,17 +28,3 @@ def bases_states(studies: Row) -> str:
         lines.append([f"{len(some)}, {sizes}", *cells])
     counts = sorted({row["coordinates"] for row in rows})
     return markdown(["states", *(f"{count} coordinates" for count in counts)], lines)
-
-
-@block("bases", command="python validation/bases.py")
-def bases_local(studies: Row) -> str:
-    """Return what bases of parts of the training states miss of motions inside."""
-    lines = [
-        [
-            str(row["clusters"]), str(row["coordinates"]), _projection(row), f"{100 * row['surplus']:.4f} %",
-            percent(row["excess"]),
-        ]
-        for row in studies["local"]
-    ]  # fmt: skip
-    heads = ["bases", "coordinates of each", "projection", "strain energy left", "frequencies too high by"]
-    return markdown(heads, lines)

@@ -63,6 +63,18 @@ def signed(value: float, places: int = 1, unit: str = " %") -> str:
     return f"{round(100 * value, places) + 0.0:+.{places}f}{unit}".replace("-", "−")
 
 
+def span(values: Iterable[float], cell: Callable[[float], str]) -> str:
+    """Return the least and the largest of some values, or one where both print alike."""
+    every = sorted(values)
+    least, most = cell(every[0]), cell(every[-1])
+    return least if least == most else f"{least} to {most}"
+
+
+def largest(values: Iterable[float], places: int = 1) -> str:
+    """Return the largest absolute value of some shares, in per cent without the sign."""
+    return f"{100 * max(map(abs, values)):.{places}f}"
+
+
 def microseconds(duration: float) -> str:
     """Return a duration in microseconds."""
     return f"{significant(1e6 * duration)} µs"

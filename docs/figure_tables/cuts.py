@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from statistics import median
 
-from figure_tables.cells import Row, block, distinct, markdown, signed
+from figure_tables.cells import Row, block, largest, markdown, signed, span
 
 CRACKS = "python validation/cuts.py --parts patch halves penny strip blade"
 STRIPS = "python validation/cuts.py --parts strip blade"
@@ -24,51 +24,26 @@ def _cloud(row: Row) -> str:
     return f"{kind}, oblique" if row.get("normal", [0.0, 0.0, 1.0])[:2] != [0.0, 0.0] else kind
 
 
-def _power(value: float) -> str:
-    """Return a small number with one digit and its power of ten."""
-    return f"{abs(value):.0e}".replace("e-0", "e-").replace("-", "−")
-
-
-def _range(change: Row) -> str:
-    low, mean, high = (f"{change[name]:+.2f}".replace("-", "−") for name in ("low", "mean", "high"))
-    return f"{mean} ({low} to {high})"
-
-
-@block("cuts", command=CRACKS)
-def cuts_patch(found: Row) -> str:
-    """Return forces under uniform stress along a cut, and forces and energies of halves that turn apart."""
-    lines = [
-        [f"stress along a cut {row['place']}", _cloud(row), *(_power(row[name]) for name in ("uncut", "cut", "change"))]
-        for row in found["patch"]
-    ]
-    lines += [["halves turn apart", _cloud(row), "–", _power(row["force"]), "–"] for row in found["halves"]]
-    return markdown(["case", "cloud", "uncut", "cut", "change"], lines)
-
-
 @block("cuts", command=CRACKS)
 def cuts_penny(found: Row) -> str:
-    """Return errors of opening and energy release of a penny."""
-    lines = [
-        [
-            f"{row['radius']} h", _cloud(row), f"{row['nodes']:,}", f"{row['poisson']:g}",
-            *(signed(row[name]) for name in ("center", "half", "release")), f"{row['frequency']:.2f}",
-        ]
-        for row in found["penny"]
-    ]  # fmt: skip
-    heads = ["radius", "cloud", "nodes", "ν", "opening", "at half the radius", "G", "highest frequency over uncut"]
-    return markdown(heads, lines)
+    """Return the largest errors of opening and energy release of a penny over Poisson's ratios."""
+    lines = []
+    for radius, cloud in dict.fromkeys((row["radius"], _cloud(row)) for row in found["penny"]):
+        rows = [row for row in found["penny"] if (row["radius"], _cloud(row)) == (radius, cloud)]
+        errors = [largest(row[name] for row in rows) for name in ("center", "half", "release")]
+        lines.append([f"{radius} h", cloud, f"{rows[0]['nodes']:,}", *errors])
+    return markdown(["radius", "cloud", "nodes", "opening [%]", "at half the radius", "G"], lines)
 
 
 @block("cuts", command=STRIPS)
 def cuts_strip(found: Row) -> str:
-    """Return errors of the energy release of strips, and what steps of their fronts do at fixed displacements."""
+    """Return errors of the energy release of strips, by law, stretch and cloud."""
+    cases = list(dict.fromkeys((row["stretch"], _cloud(row)) for row in found["strip"]))
     lines = []
-    for row in found["strip"]:
-        head = [row["law"], f"{1 + row['stretch']:g}", _cloud(row)]
-        steps = [_range(row["changes"][step]) for step in ("0.25", "0.5", "1", "2")]
-        lines.append([*head, signed(row["release"]), f"{row['staircase']:.2f} h", *steps])
-    heads = ["law", "stretch", "cloud", "G", "staircase", *(f"step {step} h" for step in ("¼", "½", "1", "2"))]
-    return markdown(heads, lines)
+    for law in dict.fromkeys(row["law"] for row in found["strip"]):
+        rows = {(row["stretch"], _cloud(row)): row for row in found["strip"] if row["law"] == law}
+        lines.append([law, *(signed(rows[case]["release"]) if case in rows else "–" for case in cases)])
+    return markdown(["law", *(f"{1 + stretch:g}, {cloud}" for stretch, cloud in cases)], lines)
 
 
 @block("cuts", command=TROUSERS)
@@ -76,40 +51,25 @@ def cuts_trousers(found: Row) -> str:
     """Return release rates of trousers from energies, and from force and stretch of the legs."""
     lines = [
         [
-            f"{1e3 * row['height']:.0f} mm", f"{row['stretch']:.2f}", f"{1e3 * row['force']:.1f} mN",
-            *(f"{row[name]:.2f} J/m²" for name in ("release", "legs")), signed(row["release"] / row["legs"] - 1),
-            f"{row['simple']:.2f} J/m²",
+            f"{1e3 * row['height']:.0f} mm", f"{row['stretch']:.2f}",
+            *(f"{row[name]:.2f}" for name in ("release", "legs")), signed(row["release"] / row["legs"] - 1),
         ]
         for row in found["trousers"]
     ]  # fmt: skip
-    return markdown(["grips", "λ", "F", "−ΔU/ΔA", "2 λ F/t − 2 b W", "difference", "2 F/t"], lines)
+    return markdown(["grips", "λ", "−ΔU/ΔA [J/m²]", "2 λ F/t − 2 b W", "difference"], lines)
 
 
 @block("cuts", command=TAUT)
 def cuts_taut(found: Row) -> str:
-    """Return errors of the force of a blade in taut tissue, and of what its cut costs."""
+    """Return errors of the force of a blade in taut tissue, and of what its cut costs, over spacings and speeds."""
     lines = []
-    for row in found["taut"]:
-        unit = f"{row['tension']:g} Pa" if row["kind"] == "edge crack" else f"{1 + row['tension']:g}"
-        low, high = row["released"]
-        share = f"{low:.2f}" if high - low < 0.005 else f"{low:.2f} to {high:.2f}"
-        errors = [f"{signed(min(row[name]))} to {signed(max(row[name]))}" for name in ("force", "cost")]
-        head = [row["kind"], unit, f"{1e3 * row['spacing']:g} mm", f"{row['nodes']:,}", f"{row['speed']:g} m/s"]
-        lines.append([*head, share, *errors])
-    return markdown(["tissue", "stretch or stress", "h", "nodes", "blade", "G/Γ", "force", "cost"], lines)
-
-
-@block("cuts", command=STRIPS)
-def cuts_moving(found: Row) -> str:
-    """Return where the energy goes when the front of a strip moves."""
-    lines = [
-        [
-            _cloud(row), f"{each['step']:g} h",
-            *(f"{each[name]:.2f}" for name in ("lost", "at_once", "damped", "kinetic")),
-        ]
-        for row in found["strip"] for each in row.get("moving", [])
-    ]  # fmt: skip
-    return markdown(["cloud", "step", "lost", "at fixed displacements", "damped", "kinetic at the end"], lines)
+    for kind, tension in dict.fromkeys((row["kind"], row["tension"]) for row in found["taut"]):
+        rows = [row for row in found["taut"] if (row["kind"], row["tension"]) == (kind, tension)]
+        pulled = f"stress {tension:g} Pa" if kind == "edge crack" else f"stretch {1 + tension:g}"
+        released = span((share for row in rows for share in row["released"]), lambda share: f"{share:.2f}")
+        errors = [span((error for row in rows for error in row[name]), signed) for name in ("force", "cost")]
+        lines.append([f"{kind}, {pulled}", released, *errors])
+    return markdown(["tissue", "G/Γ", "force", "cost"], lines)
 
 
 @block("cuts", command=STABILITY)
@@ -117,30 +77,16 @@ def cuts_stability(found: Row) -> str:
     """Return what random cuts do to the energy and the stable step of stretched bodies."""
     lines, rows = [], found["stability"]
     for body in dict.fromkeys(row["body"] for row in rows):
-        for poisson in distinct((row["poisson"] for row in rows if row["body"] == body), reverse=False):
-            cuts = [row for row in rows if row["body"] == body and row["poisson"] == poisson]
-            done = [row for row in cuts if row["stable"]]
-            ratios = [row["step_ratio"] for row in done]
-            lines.append([
-                body, f"{cuts[0]['nodes']:,}", f"{poisson:g}", str(len(cuts)), str(len(cuts) - len(done)),
-                str(sum(row["growth"] > 0 for row in done)), f"{median(ratios):.2f}", f"{max(ratios):.2f}",
-                str(sum(ratio > 1.5 for ratio in ratios)), str(max(row["released"] for row in done)),
-            ])  # fmt: skip
+        cuts = [row for row in rows if row["body"] == body]
+        done = [row for row in cuts if row["stable"]]
+        ratios = [row["step_ratio"] for row in done]
+        lines.append([
+            body, f"{cuts[0]['nodes']:,}", str(len(cuts)), str(len(cuts) - len(done)),
+            str(sum(row["growth"] > 0 for row in done)), f"{median(ratios):.2f}", f"{max(ratios):.2f}",
+            f"{largest(max(row['changes']) for row in done)} %",
+        ])  # fmt: skip
     heads = [
-        "body", "nodes", "ν", "cuts", "stopped", "made energy", "step, median", "largest", "above 1.5",
-        "most nodes released",
+        "body", "nodes", "cuts", "stopped", "made energy", "step, median", "largest",
+        "largest rise of the energy by a cut made at once",
     ]  # fmt: skip
     return markdown(heads, lines)
-
-
-@block("cuts", command=STABILITY)
-def cuts_jumps(found: Row) -> str:
-    """Return the largest rise of the energy at fixed displacements by a cut made at once."""
-    rows, lines = [row for row in found["stability"] if row["stable"]], []
-    for kind in dict.fromkeys(row["kind"] for row in rows):
-        cells = []
-        for body in dict.fromkeys(row["body"] for row in rows):
-            changes = [max(row["changes"]) for row in rows if row["body"] == body and row["kind"] == kind]
-            cells.append(signed(max(changes)) if changes else "–")
-        lines.append([kind, *cells])
-    return markdown(["cut", *dict.fromkeys(row["body"] for row in rows)], lines)

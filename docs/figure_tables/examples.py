@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from figure_tables.cells import ERRORS, Row, block, markdown, percent
+from figure_tables.cells import ERRORS, Row, block, find, markdown, percent, significant
 
 BEAM_RUNS = "NUMBA_NUM_THREADS=1 palpate reproduce beam"
+SHOWN_MODES = (2, 6, 8, 12)
 MEMBRANE_RUN = "NUMBA_NUM_THREADS=1 palpate reproduce membrane"
 
 
@@ -22,55 +23,17 @@ def projected(report: Row) -> dict[int, Row]:
 
 
 @block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
-def beam_projected(beam: Row, softer: Row) -> str:
-    """Return the errors of projected models of the paper's beam at two Poisson's ratios."""
-    rows = [
-        [
-            f"{report['parameters']['poisson']:g}", str(modes), *error_cells(row["errors"]),
-            percent(row["projection_error"]), percent(row["ratio"]), f"{row['steps']:,}",
-        ]
-        for report in (beam, softer) for modes, row in projected(report).items()
-    ]  # fmt: skip
-    return markdown(["ν", "modes", *ERRORS, "projection", "time / full", "steps"], rows)
-
-
-@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
-def beam_full(beam: Row, softer: Row) -> str:
-    """Return the runs of the full models of the paper's beam."""
+def beam_models(beam: Row, softer: Row) -> str:
+    """Return the errors of projected and sampled models of the paper's beam at two Poisson's ratios."""
     rows = []
-    for report in (beam, softer):
-        for form, run in (("strong", report["full"]), ("energy", report["energy_form"])):
-            rows.append([
-                f"{report['parameters']['poisson']:g}", form, f"{run['steps']:,}", f"{run['wall_seconds']:.0f} s",
-                f"{1e3 * run['peak_tip_displacement']:.0f} mm", f"{run['reaction_at_peak']:.1f} N",
-                percent(run["energy_balance"]),
-            ])  # fmt: skip
-    heads = ["ν", "form", "steps", "computing time", "largest displacement of the end", "support force at 100 N"]
-    return markdown([*heads, "largest miss of the energy balance over the largest work"], rows)
-
-
-@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
-def beam_sampled(beam: Row, softer: Row) -> str:
-    """Return the errors of sampled models against the energy form, which they reduce."""
-    rows = []
-    for report in (beam, softer):
-        for row in report["reduced"]:
-            if row["series"] == "hyper-reduced":
-                counts = [f"{report['parameters']['poisson']:g}", str(row["modes"]), str(row["nodes"])]
-                rows.append([*counts, *error_cells(row["errors"]), percent(row["ratio"])])
-    return markdown(["ν", "modes", "nodes", *ERRORS, "time / full"], rows)
-
-
-@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
-def beam_forms(beam: Row, softer: Row) -> str:
-    """Return the difference of the two forms of the full model."""
-    rows = []
-    for report in (beam, softer):
-        forms = report["forms"]
-        rows.append([
-            f"{report['parameters']['poisson']:g}", *error_cells(forms["errors"]), percent(forms["displacement_until"]),
-        ])  # fmt: skip
-    return markdown(["ν", *ERRORS, f"displacement until {beam['forms']['until']:g} s"], rows)
+    for series, name in (("projected", "projected"), ("hyper-reduced", "sampled")):
+        for modes in SHOWN_MODES:
+            pair = [find(report["reduced"], series=series, modes=modes) for report in (beam, softer)]
+            nodes = "; ".join(f"{row['nodes']:,}" for row in pair) if series != "projected" else "all"
+            errors = ["; ".join(significant(100 * row["errors"][kind]) for kind in ERRORS) for row in pair]
+            rows.append([name, str(modes), nodes, *errors, "; ".join(percent(row["ratio"]) for row in pair)])
+    heads = ["model", "modes", "nodes", f"ν = 0.49: {'; '.join(ERRORS)} [%]", "ν = 0.45", "time over the full model's"]
+    return markdown(heads, rows)
 
 
 def membrane_phase(report: Row, series: str, phase: str) -> dict[int, Row]:
@@ -85,31 +48,23 @@ def series_of(report: Row) -> tuple[str, str]:
 
 
 @block("reproduce_membrane", command=MEMBRANE_RUN)
-def membrane_projected(report: Row) -> str:
-    """Return the errors of projected models of the paper's membrane."""
-    return _membrane_table(report, series_of(report)[0])
-
-
-@block("reproduce_membrane", command=MEMBRANE_RUN)
-def membrane_sampled(report: Row) -> str:
-    """Return the errors of hyper-reduced models of the paper's membrane."""
-    return _membrane_table(report, series_of(report)[1])
-
-
-def _membrane_table(report: Row, series: str) -> str:
-    push, after = (membrane_phase(report, series, phase) for phase in ("push", "after"))
-    rows = [
-        [
-            str(modes), f"{row['nodes']:,}; {after[modes]['nodes']:,}", *error_cells(row["errors"]),
-            percent(row["projection_error"]), percent(row["ratio"]), percent(row["error_at_end"]),
-            percent(after[modes]["errors"]["displacement"]), percent(after[modes]["projection_error"]),
-            percent(after[modes]["ratio"]),
-        ]
-        for modes, row in push.items()
-    ]  # fmt: skip
+def membrane_models(report: Row) -> str:
+    """Return the errors of projected and hyper-reduced models of the paper's membrane."""
+    rows = []
+    for series, name in zip(series_of(report), ("projected", "hyper-reduced"), strict=True):
+        push, after = (membrane_phase(report, series, phase) for phase in ("push", "after"))
+        for modes in SHOWN_MODES:
+            row = push[modes]
+            rows.append([
+                name, str(modes), f"{row['nodes']:,}",
+                "; ".join(significant(100 * row["errors"][kind]) for kind in ("displacement", "energy", "reaction")),
+                significant(100 * row["projection_error"]), percent(row["ratio"]),
+                "; ".join(significant(100 * value) for value in (
+                    after[modes]["errors"]["displacement"], after[modes]["projection_error"]
+                )),
+            ])  # fmt: skip
     heads = [
-        "modes", "nodes or points: push; after", "push: displacement (34)", "velocity", "energy", "tool force",
-        "projection", "time / full", "displacement at 0.1 s", 'after "return": displacement', "projection",
-        "time / full",
+        "model", "modes", "points", "push: displacement; energy; tool force [%]", "projection [%]",
+        "time over the full model's", 'after "return": displacement; projection [%]',
     ]  # fmt: skip
     return markdown(heads, rows)

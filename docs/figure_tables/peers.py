@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-from figure_tables.cells import Row, block, markdown, percent, signed
+from figure_tables.cells import Row, block, markdown, signed
 
 
 @block("peers", command="python benchmarks/peers.py")
 def peers(found: Row) -> str:
-    """Return errors and computing times of palpate and its peers."""
-    rows = [
-        [
-            row["case"], row["program"], f"{row['nodes']:,}",
-            f"{1e6 * row['step']:.0f} µs" if "step" in row else "none",
-            f"{row['seconds_per_second']:.3g} s/s" if "step" in row else f"{row['solve_seconds']:.3g} s, statics",
-            signed(row["error"], 2),
-        ]
-        for row in found["rows"]
-    ]  # fmt: skip
-    return markdown(["case", "program", "nodes", "step", "computing time", "error"], rows)
-
-
-@block("peers", command="python benchmarks/peers.py")
-def peers_references(found: Row) -> str:
-    """Return the references of the comparison: the limit of each law, and how far the finest mesh is away."""
-    rows = []
-    for case, unit, scale in (("beam", "mm", -1e3), ("block", "N", 1.0)):
-        reference = found["references"][case]
-        away = abs(reference["meshes"][-1] / reference["laws"]["neo_hookean"] - 1)
-        rows += [
-            [case, law.replace("_", " "), f"{scale * value:.4g} {unit}", percent(away)]
-            for law, value in reference["laws"].items()
-        ]
-    return markdown(["case", "law", "limit of three meshes", "finest mesh (palpate's law), away by"], rows)
+    """Return errors and computing times of palpate and its peers on the same lattices."""
+    lines = []
+    for case, program in dict.fromkeys((row["case"], row["program"]) for row in found["rows"]):
+        rows = [row for row in found["rows"] if (row["case"], row["program"]) == (case, program)]
+        moving = "step" in rows[0]
+        times = "; ".join(f"{row['seconds_per_second' if moving else 'solve_seconds']:.3g}" for row in rows)
+        nodes = "; ".join(f"{row['nodes']:,}" for row in rows)
+        errors = "; ".join(signed(row["error"], unit="") for row in rows)
+        lines.append([f"{case}: {program}", nodes, f"{times} {'s/s' if moving else 's'}", errors])
+    return markdown(["case: program", "nodes", "computing time", "error [%]"], lines)

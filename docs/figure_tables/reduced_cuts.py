@@ -14,31 +14,26 @@ def reduced_cuts_errors(livers: list[Row]) -> str:
     """Return the errors of statics under both pulls."""
     lines = [
         [
-            row["basis"], str(row["coordinates"]), f"{row['terms']} terms",
+            row["basis"],
             *("; ".join(signed(row[pull][name]) for pull in PULLS) for name in ERRORS),
         ]
         for liver in livers for row in liver["models"]
     ]  # fmt: skip
-    return markdown(["trained on", "coordinates", "energy", "opening", "force", "energy release", "blade"], lines)
+    return markdown(["trained on", "opening", "force", "energy release", "blade"], lines)
 
 
 @block("reduced_cuts", command=RUNS)
 def reduced_cuts_cost(livers: list[Row]) -> str:
-    """Return the time of an evaluation and the step, errors in runs, and the time to make a model."""
+    """Return the processor time of a period, and errors in runs."""
     lines = []
     for liver in livers:
-        full = liver["full"]
-        lines.append([
-            "full model", microseconds(full["evaluation"]), f"{1e3 * full['step']:.1f} ms",
-            microseconds(full["period"]), "–", "–", "–", "–",
-        ])  # fmt: skip
+        lines.append(["full model", microseconds(liver["full"]["period"]), "–", "–", "–"])
         for row in liver["models"]:
             runs = [each for each in liver["runs"] if each["basis"] == row["basis"]]
             lines.append([
-                row["basis"], microseconds(row["evaluation"]), f"{1e3 * row['step']:.1f} ms",
-                microseconds(row["period"]),
+                row["basis"], microseconds(row["period"]),
                 *("; ".join(percent(each[name]) for each in runs) for name in ("opening", "force")),
-                "; ".join(f"{each['trust']:.1f}" for each in runs), f"{row['seconds']:.0f} s",
+                "; ".join(f"{each['trust']:.1f}" for each in runs),
             ])  # fmt: skip
-    heads = ["trained on", "evaluation", "step", "period", "opening", "force", "error indicator", "to make it"]
+    heads = ["trained on", "period", "opening", "force", "error indicator"]
     return markdown(heads, lines)

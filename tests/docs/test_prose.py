@@ -59,6 +59,15 @@ def test_code_is_not_broken_and_a_dash_begins_no_line():
     ]  # fmt: skip
 
 
+def test_no_line_begins_with_the_mark_of_a_comment():
+    assert wrap.wrapped(f"{'x' * 97} 30\n% of it\n") == f"{'x' * 97}\n30 % of it\n"
+    for page in wrap.pages():
+        prose = [
+            line for is_prose, lines in wrap.blocks(page.read_text(encoding="utf-8")) if is_prose for line in lines
+        ]
+        assert not [line for line in prose if line.lstrip().startswith("%")], page.name  # the site would not show it
+
+
 def test_wrapping_keeps_the_words_of_every_page(monkeypatch):
     monkeypatch.setattr(wrap, "WIDTH", 40)
     for page in wrap.pages():

@@ -19,7 +19,7 @@ def reduce_linear(
     """Reduce a linearised body by projection.
 
     Balanced truncation, rational Krylov methods and others are those of pyMOR: reduce the model of
-    `to_pymor`, and convert the result by `from_pymor` (docs/claims/linear.md).
+    `to_pymor`, and convert the result by `from_pymor` (docs/howto/linear.md).
 
     Parameters
     ----------

@@ -306,7 +306,7 @@ def _check_moved_nodes(loads: Sequence[Load], model: NodalModel) -> None:
         if isinstance(load, PrescribedMotion | Grasp) and not model.conservative:
             raise InputError(
                 "loads must not move nodes of a linearised body in its strong form, "
-                f"got a {type(load).__name__}; give the body form='energy' (docs/claims/linear.md)"
+                f"got a {type(load).__name__}; give the body form='energy' (docs/howto/linear.md)"
             )
 
 
