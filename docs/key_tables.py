@@ -25,14 +25,15 @@ HEADS = {
     "painted = { ... }": sections.Painted, "near = { ... }": sections.Near, "[tool]": sections.Tool,
     "[cut]": sections.Cut, "[[load]]": sections.Load, "[run]": sections.Run, "[training]": sections.Training,
 }  # fmt: skip
-TABLE = re.compile(r"^### `(.*)`\n(?:(?!^#).*\n)*?\| key \|.*\n\|---.*\n((?:\| .*\n)+)", re.MULTILINE)
+TABLE = re.compile(r"^### `(.*)`\n(?:(?!^#).*\n)*?\| key \[unit\] \|.*\n\|---.*\n((?:\| .*\n)+)", re.MULTILINE)
 
 
 def row(name: str, field: Any) -> str:
     """Return the row of a key."""
     about = field.metadata
     choices = f": {', '.join(f'`{each}`' for each in about['choices'])}" if about["choices"] else ""
-    return f"| `{name}` | {about['unit']} | {shown_default(field)} | {about['help']}{choices} |\n"
+    unit = f" [{about['unit']}]" if about["unit"] else ""
+    return f"| `{name}`{unit} | {shown_default(field)} | {about['help']}{choices} |\n"
 
 
 def shown_default(field: Any) -> str:
