@@ -25,7 +25,7 @@ HEADS = {
     "painted = { ... }": sections.Painted, "near = { ... }": sections.Near, "[tool]": sections.Tool,
     "[cut]": sections.Cut, "[[load]]": sections.Load, "[run]": sections.Run, "[training]": sections.Training,
 }  # fmt: skip
-TABLE = re.compile(r"^### `(.*)`\n(?:(?!^#).*\n)*?\| key \[unit\] \|.*\n\|---.*\n((?:\| .*\n)+)", re.MULTILINE)
+TABLE = re.compile(r"^### `(.*)`\n(?:(?!^#).*\n)*?\| key \|.*\n\|---.*\n((?:\| .*\n)+)", re.MULTILINE)
 
 
 def row(name: str, field: Any) -> str:
