@@ -1,6 +1,6 @@
 """Make the films of the docs: a press on the liver, a cut, the beam to four times its length, the membrane's wave.
 
-    python docs/films.py [liver_press] [liver_cut] [beam_pull] [membrane_wave] [readme_displacement]
+    python docs/films.py [liver_press] [liver_cut] [beam_pull] [membrane_wave]
 
 Films are animated WebP files of 640 pixels across in docs/images, each below 3 MB. The liver is a session of
 ``palpate view liver`` that a script drives in real time; it is cut in a run of the full body. The beam and the
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -23,7 +22,6 @@ import pyvista
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
-from palpate.app.common.figures import figure
 from palpate.app.common.rendering import add_shaded, camera_axes, check_drawing, off_screen, screenshot
 from palpate.app.common.shading import QUIET, round_up, shade_tool
 from palpate.app.view.film import (
@@ -41,7 +39,7 @@ from palpate.realtime.bodies.full_surface import FullSurface
 from palpate.scenes.beam import beam
 from palpate.scenes.membrane import membrane
 
-IMAGES, README = Path(__file__).parent / "images", Path(__file__).parents[1] / "README.md"
+IMAGES = Path(__file__).parent / "images"
 MAX_FILM_BYTES = 3_000_000
 FILM_SECONDS = 3.0
 FRAMES = round(FILM_SECONDS * FRAME_RATE)
@@ -216,28 +214,17 @@ def membrane_wave(path: Path) -> None:
     run_film(path, membrane(after="release"), view, 0.2)
 
 
-def readme_displacement(path: Path) -> None:
-    """Draw the picture that the example of the README makes."""
-    example = re.search(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    statements, _, plot = example[1].rstrip().rpartition("\n")
-    names: dict[str, Any] = {}
-    exec(compile(statements, README.name, "exec"), names)
-    with figure(path, (7.0, 3.2)) as drawn:
-        eval(plot.replace(")", ", axes=axes)"), names | {"axes": drawn.subplots()})
-
-
 FILMS = {film.__name__: film for film in (liver_press, liver_cut, beam_pull, membrane_wave)}
-PICTURES = {readme_displacement.__name__: readme_displacement}
 
 
 def main() -> None:
     """Make the films named on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", nargs="*", choices=[*FILMS, *PICTURES, []], help="default: all")
+    parser.add_argument("name", nargs="*", choices=[*FILMS, []], help="default: all")
     check_drawing()
-    for name in parser.parse_args().name or [*FILMS, *PICTURES]:
-        path = IMAGES / f"{name}{'.webp' if name in FILMS else '.png'}"
-        (FILMS | PICTURES)[name](path)
+    for name in parser.parse_args().name or FILMS:
+        path = IMAGES / f"{name}.webp"
+        FILMS[name](path)
         size = path.stat().st_size
         print(f"{path}: {size / 1e6:.2f} MB")
         if size > MAX_FILM_BYTES:

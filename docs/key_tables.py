@@ -32,7 +32,8 @@ def row(name: str, field: Any) -> str:
     """Return the row of a key."""
     about = field.metadata
     choices = f": {', '.join(f'`{each}`' for each in about['choices'])}" if about["choices"] else ""
-    return f"| `{name}` | {about['unit']} | {shown_default(field)} | {about['help']}{choices} |\n"
+    unit = f" [{about['unit']}]" if about["unit"] else ""
+    return f"| `{name}`{unit} | {shown_default(field)} | {about['help']}{choices} |\n"
 
 
 def shown_default(field: Any) -> str:

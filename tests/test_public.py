@@ -177,6 +177,13 @@ def example() -> str:
     return match[1]
 
 
+@pytest.mark.lint
+def test_the_readme_is_read_in_one_sitting():
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 100
+    assert len([line for line in lines if ".webp" in line]) == 1
+
+
 @pytest.mark.slow
 def test_the_example_prints_the_errors_that_the_readme_shows(capsys):
     text = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -126,6 +126,13 @@ def test_the_index_lists_every_page():
     assert sorted(missing) == ["index", "package"]
 
 
+@pytest.mark.lint
+def test_the_index_leads_three_readers_by_five_links_each():
+    index = (DOCS_FOLDER / "index.md").read_text(encoding="utf-8")
+    readers = re.findall(r"^\*\*You .*\*\*\n\n((?:\d\. .*\n)+)", index, re.MULTILINE)
+    assert [len(re.findall(r"\]\([\w/]+\.md\)", each)) for each in readers] == [5, 5, 5]
+
+
 # parameters and results
 
 

@@ -1,11 +1,13 @@
-"""The seven figures of the README, the speed of models, and the paper's claims next to ours."""
+"""The four figures of the README, the speed of models, and the paper's claims next to ours."""
 
 # ruff: noqa: RUF001  (Greek letters and the typographer's minus and dash are meant)
 from __future__ import annotations
 
 from figure_tables.cells import Row, block, find, markdown, microseconds, percent, significant
+from figure_tables.cuts import CRACKS
 from figure_tables.examples import BEAM_RUNS, MEMBRANE_RUN, error_cells, membrane_phase, projected, series_of
-from figure_tables.steps import hand_shares
+
+PATCHES = "python validation/patches.py --keep"
 
 
 def displacements(rows: dict[int, Row], *sizes: int) -> str:
@@ -100,67 +102,37 @@ def bench_models(bench: Row) -> str:
 
 
 @block(
-    "elements", "organ_models", "hand", "bench", "reproduce_beam", "held_out",
-    command="python validation/elements.py`, `python validation/organ_models.py`, `python validation/hand.py --keep`, "
-    f"`python benchmarks/speed.py`, `{BEAM_RUNS}` and `python validation/held_out.py",
+    "elements", "patches", "cuts", "reproduce_beam",
+    command=f"python validation/elements.py`, `{PATCHES}`, `{CRACKS}` and `{BEAM_RUNS}",
 )  # fmt: skip
-def readme_figures(
-    elements: list[Row], organs: list[Row], hands: list[Row], bench: Row, beam: Row, studies: Row
-) -> str:
-    """Return the seven figures of the README, each with the command that makes it."""
-    first, errors = ([select(organ) for organ in organs] for select in (_first_force, _small_model_force))
-    full = max(bench["full_body"]["threads"], key=lambda run: run["nodes_in_real_time"])
+def readme_figures(elements: list[Row], patches: list[Row], found: Row, beam: Row) -> str:
+    """Return the four figures of the README, each with what it is compared with and the command that makes it."""
     fine = [row for row in elements if row["scale"] == 1.0 and "frequencies" in row]
+    bodies = {row["case"].split()[0] for row in fine}
     worst = [percent(max(abs(each) for row in fine for each in row[name])) for name in ("frequencies", "sag", "patch")]
-    full_nodes = bench["full_body"]["nodes"]
-    runs = [row[rule] for row in studies["stability"] for rule in ("explicit", "implicit")]
+    deep = max(abs(row["errors"][-1]) for row in patches if row["fits"] == "curved")
+    pennies = [row for row in found["penny"] if row["radius"] == max(row["radius"] for row in found["penny"])]
+    crack = [percent(max(abs(row[name]) for row in pennies)) for name in ("center", "release")]
     six, eight = projected(beam)[6], find(beam["reduced"], series="hyper-reduced", modes=8)
-    _, known, kept, count = hand_shares([path for row in hands for path in row["rows"]])
-    organ_command, bench_command = "`python validation/organ_models.py`", "`python benchmarks/speed.py`"
     rows = [
         [
-            "full bodies of 3,000 nodes against finite elements, "
-            f"{len({row['case'].split()[0] for row in fine})} bodies, two of them at Poisson's ratios of 0.3, 0.45 and "
-            "0.49: largest error of frequencies; of sag; of the force on a disc of three spacings",
-            "; ".join(worst), "`python validation/elements.py`",
+            f"{len(bodies)} bodies of 3,000 nodes, ν 0.3 to 0.49: frequencies; sag; force on a disc of three spacings",
+            "quadratic finite elements", "; ".join(worst), "`python validation/elements.py`",
         ],
         [
-            f"from a surface to the first force on the tool, median of {len(organs)} organs; the one that compiled",
-            f"{sorted(first)[len(first) // 2]:.0f} s; {max(first):.0f} s", organ_command,
+            "force of a tool of 1 to 2 spacings in radius, one radius deep, on a layer and on balls, mean",
+            "closed forms (Johnson; Lur'e)", percent(deep), f"`{PATCHES}`",
         ],
         [
-            f"nodes of a full body in real time under a ball, by the mean period of {full_nodes:,} nodes",
-            f"{100 * round(full['nodes_in_real_time'] / 100):,}", bench_command,
+            f"a round cut of {pennies[0]['radius']} spacings in radius: opening; energy release",
+            "closed form (Sneddon)", "; ".join(crack), f"`{CRACKS}`",
         ],
         [
-            "force on the tool of organs trained with default choices, median error on unseen paths",
-            f"{percent(min(errors))} to {percent(max(errors))}", organ_command,
-        ],
-        [
-            f"force under a mouse, {len(hands)} bodies, default choices: time with an error bound; paths that keep it",
-            f"{percent(known)}; {kept} of {count}", "`python validation/hand.py --keep`",
-        ],
-        [
-            "the paper's beam: error (34) projected, 6 modes (paper: < 3 %); sampled, 8 modes, and its time",
-            f"{displacement(six)}; {displacement(eight)}, {percent(eight['ratio'])} of the full model's",
-            f"`{BEAM_RUNS}`",
-        ],
-        [
-            f"runs of reduced models into buckling that diverged, {studies['stability'][0]['modes']} to "
-            f"{studies['stability'][-1]['modes']} modes",
-            f"{sum(run['failed'] for run in runs)} of {sum(run['runs'] for run in runs)}",
-            "`python validation/held_out.py`",
+            "the paper's beam: displacement with 6 modes; time of a sampled model of 8 modes over the full model's",
+            "the paper: < 3 %; 3 %", f"{displacement(six)}; {percent(eight['ratio'])}", f"`{BEAM_RUNS}`",
         ],
     ]  # fmt: skip
-    return markdown(["figure", "here", "command"], rows)
-
-
-def _first_force(organ: Row) -> float:
-    return organ["new"] + organ["first_force"]
-
-
-def _small_model_force(organ: Row) -> float:
-    return organ["small"]["force"]
+    return markdown(["largest errors", "against", "here", "command"], rows)
 
 
 def displacement(entry: Row) -> str:

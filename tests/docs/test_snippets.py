@@ -19,7 +19,7 @@ PAGES = sorted(
     path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tutorials" and path.name != "package.md"
 )
 FRAGMENTS = {"docs/howto/extending.md"}  # pieces of files, which test_extending.py applies
-RELEASE = {"docs/reference/laws.md"}  # compiles six laws
+RELEASE = {"docs/howto/laws.md"}  # compiles six laws
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
 FENCE = re.compile(
     r"^(?:<!-- not run: (?P<reason>[^\n]+?) -->\n+)?^```python\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL

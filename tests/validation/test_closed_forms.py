@@ -55,7 +55,7 @@ def test_the_clouds_have_their_bodys_volume_and_a_closed_surface(cloud, volume):
 
 
 def test_torsion_and_inflation_of_the_full_model_follow_the_law(tissue):
-    """At four rings and layers; docs/reference/laws.md has the errors over the spacing, which fall by its square."""
+    """At four rings and layers; docs/claims/laws.md has the errors over the spacing, which fall by its square."""
     for case, count, allowed in (("torsion", 4, 0.035), ("sphere", 4, 0.04)):
         reference, solved, _, _ = closed_forms.CASES[case]
         radius, exact, _ = reference(tissue)

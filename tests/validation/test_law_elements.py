@@ -26,7 +26,7 @@ def test_the_laws_have_the_stress_of_the_printed_energies(name):
 @pytest.mark.each_kind(name=["MooneyRivlin"])
 @pytest.mark.parametrize(("name", "case"), [("MooneyRivlin", "shear"), ("Ogden", "tension"), ("Fibres", "compression")])
 def test_a_coarse_block_needs_the_force_of_the_elements(name, case):
-    """Four cells across; docs/reference/laws.md has all laws and cases over the spacing."""
+    """Four cells across; docs/claims/laws.md has all laws and cases over the spacing."""
     pytest.importorskip("felupe")
     law, fibres = (each and each() for each in BODIES[name])
     expected = law_elements.element_force(printed(law, fibres), case, (4, 2, 2))
