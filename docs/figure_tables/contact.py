@@ -51,12 +51,12 @@ def two_balls(rows: list[Row]) -> str:
     """Return the forces on two balls that squeeze a block, and their error against finite elements."""
     lines = [
         [
-            millimetres(row["depth"]), millimetres(row["spacing"]), *(f"{force:.4f} N" for force in row["forces"]),
-            f"{row['elements']:.4f} N", signed(row["error"]),
+            millimetres(row["depth"]), millimetres(row["spacing"]),
+            ", ".join(f"{force:.3f}" for force in row["forces"]), f"{row['elements']:.3f}", signed(row["error"]),
         ]
         for row in rows
     ]  # fmt: skip
-    return markdown(["depth of each", "spacing", "first ball", "second ball", "finite elements", "error"], lines)
+    return markdown(["depth of each", "spacing", "forces [N]", "finite elements [N]", "error"], lines)
 
 
 PRESS_NAMES = {

@@ -14,15 +14,9 @@ def organ_models(entries: list[Row]) -> str:
         small, large = each["small"], each.get("large")
         lines.append([
             each["organ"], f"{small['nodes']:,}", f"{each['new'] + each['first_force']:.0f} s",
-            f"{small['seconds'] / 60:.1f} min", _force_errors(small),
-            f"{large['seconds'] / 60:.1f} min" if large else "", _force_errors(large) if large else "",
-            f"{(large or small)['megabytes']:.1f} MB",
+            f"{small['seconds'] / 60:.1f} min", _force_errors(small), _force_errors(large) if large else "",
         ])  # fmt: skip
-    heads = [
-        "organ", "nodes", "first force", "small model", "force; 95 %; surface", "32 paths", "force; 95 %; surface",
-        "file",
-    ]  # fmt: skip
-    return markdown(heads, lines)
+    return markdown(["organ", "nodes", "first force", "training", "force; 95 %; surface", "with 32 paths"], lines)
 
 
 def _force_errors(found: Row) -> str:
