@@ -6,7 +6,7 @@ The organs and their supports are those of elements.py, at about 3,000 nodes. Th
 some tenths of its size at most; livers of 3.2 kPa, held on one side alone, have no stress-free shape under all of
 gravity. Gravity acts along three axes in turn, as on a patient on the back, on the side and upright. For comparison the
 scan is deformed by the opposite of gravity in one pass, which is taken for the stress-free shape by some. Rows are
-printed as docs/howto/unloaded.md has them.
+printed in Markdown; docs/howto/unloaded.md has their range.
 """
 
 from __future__ import annotations

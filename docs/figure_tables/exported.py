@@ -9,15 +9,14 @@ __all__ = ["exported", "exported_times"]
 
 @block("exported", command="python validation/exported.py")
 def exported(found: list[Row]) -> str:
-    """Return how many periods of libraries equal the engine's, and the differences to the engine as shipped."""
-    lines = [
-        [
-            row["case"], f"{row['equal']:,} of {row['periods']:,}", f"{row['largest_force']:.2g} N",
-            *(f"{row['differences'][name]:.0e}" for name in ("force", "coordinates", "stiffness")),
-        ]
-        for row in found
-    ]  # fmt: skip
-    heads = ["law or kind", "equal periods", "largest force", "difference: force", "coordinates", "contact stiffness"]
+    """Return how many periods of libraries equal the engine's, and the largest differences to the engine as shipped."""
+    lines = []
+    for equal in sorted({(row["equal"], row["periods"]) for row in found}, reverse=True):
+        rows = [row for row in found if (row["equal"], row["periods"]) == equal]
+        largest = (max(row["differences"][name] for row in rows) for name in ("force", "coordinates", "stiffness"))
+        cells = [f"{equal[0]:,} of {equal[1]:,}", *(f"{value:.0e}" for value in largest)]
+        lines.append(["; ".join(row["case"] for row in rows), *cells])
+    heads = ["laws and kinds", "equal periods of each", "difference: force", "coordinates", "contact stiffness"]
     return markdown(heads, lines)
 
 

@@ -1,4 +1,4 @@
-"""The worked examples of docs/howto/extending.md hold: applied to a copy of the sources, their tests pass."""
+"""The worked examples of docs/howto/extending_*.md hold: applied to a copy of the sources, their tests pass."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "howto" / "extending.md"
+GUIDES = ROOT / "docs" / "howto"
+PAGES = [GUIDES / f"extending{kind}.md" for kind in ("", "_law", "_load", "_tool", "_scene")]
 STEP = re.compile(
     r"^(?:Create `(?P<created>\S+)`"
     r"|In `(?P<edited>\S+)`, (?P<action>after|replace) the line with `(?P<line>[^\n]*)`"
@@ -22,9 +23,14 @@ STEP = re.compile(
 )
 
 
+def pages() -> str:
+    """Return the text of the pages."""
+    return "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+
+
 def sections() -> dict[str, str]:
     """Return the text of each worked example by its heading."""
-    parts = re.split(r"^## (.*)\n", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    parts = re.split(r"^## (.*)\n", pages(), flags=re.MULTILINE)
     examples = dict(zip(parts[1::2], parts[2::2], strict=True))
     return {heading: text for heading, text in examples.items() if STEP.search(text)}
 
@@ -61,7 +67,8 @@ MAX_FILES = {"A law": 5, "A load": 5, "A tool": 4, "A scene": 2, "A key of a sce
 
 
 @pytest.mark.lint
-def test_the_page_has_examples_of_all_kinds_that_touch_few_files():
+def test_the_pages_have_examples_of_all_kinds_that_touch_few_files():
+    assert sorted(GUIDES.glob("extending*.md")) == sorted(PAGES)
     assert [heading.split(":")[0] for heading in sections()] == list(MAX_FILES)
     for heading, text in sections().items():
         files = {step["created"] or step["edited"] for step in STEP.finditer(text)} - {None}
@@ -71,8 +78,8 @@ def test_the_page_has_examples_of_all_kinds_that_touch_few_files():
 
 
 @pytest.mark.lint
-def test_every_source_that_the_page_names_exists_or_is_created():
-    text = PAGE.read_text(encoding="utf-8")
+def test_every_source_that_the_pages_name_exists_or_is_created():
+    text = pages()
     created = {step["created"] for step in STEP.finditer(text)}
     named = set(re.findall(r"`((?:src|tests)/[^`\s]+)`", text))
     assert [path for path in named - created if not (ROOT / path).exists()] == []

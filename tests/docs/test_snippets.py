@@ -18,7 +18,8 @@ ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tutorials" and path.name != "package.md"
 )
-FRAGMENTS = {"docs/howto/extending.md"}  # pieces of files, which test_extending.py applies
+EXAMPLES = ("law", "load", "tool", "scene")
+FRAGMENTS = {f"docs/howto/extending_{kind}.md" for kind in EXAMPLES}  # pieces of files: test_extending.py applies them
 RELEASE = {"docs/howto/laws.md"}  # compiles six laws
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
 FENCE = re.compile(

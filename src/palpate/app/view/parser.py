@@ -67,7 +67,7 @@ def add_replay(commands: Any) -> None:
         "palpate.app.view.replay_command:replay",
         summary="show or export what palpate view has recorded",
         description="Show a recording on a page, draw it, or run its tool's path on the full model. "
-        "See docs/howto/view.md.",
+        "See docs/howto/recordings.md.",
     )
     add = replay.add_argument
     add("file", type=existing_file, metavar="FILE.h5", help="the recording, or a scene file: its newest recording")

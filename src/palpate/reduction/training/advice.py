@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 MAX_ERROR = 0.3  # mean error over the held-out runs above which a model is not to be used
-SMOOTH_MODES, SMOOTH_RUNS = 40, 8  # errors decrease little beyond these (docs/howto/training.md)
+SMOOTH_MODES, SMOOTH_RUNS = 40, 8  # errors decrease little beyond these (docs/howto/modes_and_spacing.md)
 MIN_EXPLAINED = 0.5  # share of the displacements around tools that the surface compliance explains
 LARGE_SHARE = 0.5  # projection error over the error, above which it causes it
 UNSEEN_RATIO = 2.0  # projection error of held-out runs over that of the training runs

@@ -185,7 +185,7 @@ def test_the_option_adds_exactly_its_host_and_origin(page):
     ("path", "host", "origin", "words"),
     [
         ("/", "localhost:9000", None, "got localhost:9000; forward the same port at both ends, or"),
-        ("/", "localhost:9000", None, "--public-url http://localhost:9000/; see docs/howto/view.md"),
+        ("/", "localhost:9000", None, "--public-url http://localhost:9000/; see docs/howto/serve.md"),
         (
             "/",
             "lab.example.org",
@@ -195,7 +195,7 @@ def test_the_option_adds_exactly_its_host_and_origin(page):
         ("/session", "localhost:8765", "https://lab.example.org", "--public-url https://lab.example.org/; see"),
         ("/", "<script>", None, "got another;"),
         ("/", "x" * 300, None, "--public-url http://HOST:PORT/; see"),
-        ("/proxy/8765/", "localhost:8765", None, "--public-url https://HOST/PREFIX/; see docs/howto/view.md"),
+        ("/proxy/8765/", "localhost:8765", None, "--public-url https://HOST/PREFIX/; see docs/howto/serve.md"),
     ],
 )
 def test_refusals_name_the_option_that_allows_the_address(page, path, host, origin, words):

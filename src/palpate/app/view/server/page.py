@@ -76,7 +76,7 @@ class Page:
         return self._plain(
             HTTPStatus.NOT_FOUND,
             "no such file; behind a proxy where the page has a path, start palpate with --public-url "
-            "https://HOST/PREFIX/; see docs/howto/view.md",
+            "https://HOST/PREFIX/; see docs/howto/serve.md",
         )
 
     @staticmethod
@@ -94,7 +94,7 @@ class Page:
         return self._plain(
             HTTPStatus.FORBIDDEN,
             f"{name} must be {allowed}, got {printed or 'another'}; forward the same port at both ends, or start "
-            f"palpate with --public-url {url}/; see docs/howto/view.md",
+            f"palpate with --public-url {url}/; see docs/howto/serve.md",
         )
 
     def _plain(self, status: HTTPStatus, text: str) -> Response:
