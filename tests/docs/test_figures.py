@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import sys
@@ -88,7 +89,87 @@ def test_written_results_are_read_again_with_their_origin(tmp_path, monkeypatch)
     assert result_files.read("heights", []) == [{"height": 2.0}, {"height": 3.0}]
     made = json.loads((tmp_path / "heights.json").read_text(encoding="utf-8"))["made"]
     assert [entry["command"] for entry in made] == ["python heights.py", "python heights.py --more"]
-    assert all(entry["machine"] and entry["commit"] for entry in made)
+    assert all(entry["machine"] and entry["commit"] and entry["code"] for entry in made)
+
+
+@pytest.fixture
+def clone(tmp_path, monkeypatch):
+    """A folder with a room of the package and a study, in place of the repository."""
+    for place, source in {
+        "src/palpate/dynamics/force.py": "def force(u):\n    return 2 * u\n",
+        "src/palpate/core/faults.py": "LIMIT = 3\n",
+        "validation/study.py": "import palpate\n",
+    }.items():
+        (tmp_path / place).parent.mkdir(parents=True)
+        (tmp_path / place).write_text(source, encoding="utf-8")
+    monkeypatch.setattr(result_files, "ROOT", tmp_path)
+    result_files.digest.cache_clear()
+    yield tmp_path
+    result_files.digest.cache_clear()
+
+
+def after(clone, place, source):
+    """Return what differs from a run's code once a file has another source."""
+    entry = {"code": result_files.code("python validation/study.py")}
+    assert result_files.changed(entry) == []
+    (clone / place).write_text(source, encoding="utf-8")
+    result_files.digest.cache_clear()
+    return result_files.changed(entry)
+
+
+FORCE, ROOM = "src/palpate/dynamics/force.py", "src/palpate/dynamics"
+
+
+def test_a_run_without_mechanics_depends_on_all_rooms_but_core_and_on_its_script(clone):
+    assert set(result_files.code("python validation/study.py --fast")) == {ROOM, "validation/study.py"}
+
+
+def test_a_run_depends_on_the_rooms_that_it_has_imported():
+    importlib.import_module("palpate.dynamics.nodal.equilibrium")
+    places = result_files.code("python validation/tips.py")
+    assert {"src/palpate/dynamics/nodal", "validation/tips.py"} <= set(places)
+    assert all(re.fullmatch(r"[0-9a-f]{8}", each) for each in places.values())
+    assert not any(place in ("src/palpate", "src/palpate/core", "validation/result_files.py") for place in places)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "def force(u):\n    return 3 * u\n",
+        "def force(u):\n    return 2 * u + 0\n",
+        "def force(u):\n    return 2 * u\n\n\nLIMIT = 1\n",
+    ],
+)
+def test_changed_code_is_found(clone, source):
+    assert after(clone, FORCE, source) == [ROOM]
+
+
+def test_a_changed_study_and_a_room_that_went_are_found(clone):
+    assert after(clone, "validation/study.py", "import palpate.lti\n") == ["validation/study.py"]
+    entry = {"code": result_files.code("python validation/study.py")}
+    (clone / FORCE).unlink()
+    result_files.digest.cache_clear()
+    assert result_files.changed(entry) == [ROOM]
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        '"""Forces."""\n\n\ndef force(u: float) -> float:\n    """Return the force."""\n    return 2 * u  # [N]\n',
+        "def force(\n    u,\n):\n    return (2 * u)\n",
+    ],
+)
+def test_words_about_code_are_not_a_change(clone, source):
+    assert after(clone, FORCE, source) == []
+
+
+def test_the_text_of_an_error_is_not_a_change(clone):
+    (clone / FORCE).write_text("def force(u):\n    raise ValueError('too large')\n", encoding="utf-8")
+    assert after(clone, FORCE, "def force(u):\n    raise ValueError('must be smaller')\n") == []
+
+
+def test_what_was_made_before_digests_is_known_as_such():
+    assert result_files.changed({"command": "python validation/tips.py"}) is None
 
 
 SHARES = {0.0: "0 %", 3e-8: "< 0.001 %", 0.00123: "0.12 %", 0.0999: "10 %", 0.236: "24 %", 1.0316: "103 %"}
