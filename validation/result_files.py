@@ -115,7 +115,7 @@ def other_work() -> str:
 def code(command: str) -> dict[str, str]:
     """Return the digest of each folder and script that a command of this process depends on, by path.
 
-    A command whose process has imported no mechanics ran it in others: it depends on all folders.
+    A command whose process has imported no mechanics ran it in others: it depends on all folders but those of `app`.
     """
     scripts, folders = set(re.findall(r"[\w/]+\.py", command)), set()
     for module in list(sys.modules.values()):
@@ -128,7 +128,8 @@ def code(command: str) -> dict[str, str]:
         elif place.parts[0] in ("validation", "benchmarks"):
             scripts.add(place.as_posix())
     if not any(folder.startswith(MECHANICS) for folder in folders):
-        folders = {file.parent.relative_to(ROOT).as_posix() for file in (ROOT / PACKAGE).rglob("*.py")}
+        every = {file.parent.relative_to(ROOT).as_posix() for file in (ROOT / PACKAGE).rglob("*.py")}
+        folders |= {folder for folder in every if not folder.startswith(f"{PACKAGE}/app")}
     counted = {place for place in {*scripts, *folders} if not place.startswith(UNCOUNTED)} - {PACKAGE}
     return {place: digest(ROOT / place) for place in sorted(counted)}
 

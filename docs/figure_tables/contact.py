@@ -58,7 +58,7 @@ def contact_noise(rows: list[Row]) -> str:
     return markdown(["what", *(f"{form}, {millimetres(h)}" for form, h in columns)], lines)
 
 
-@block("contact", command="python validation/contact.py --tools --spacings --overhead")
+@block("contact", command="python validation/contact.py --tools --spacings --overhead", timed=True)
 def contact_overhead(rows: list[Row]) -> str:
     """Return what a ball adds to a step."""
     row = find(rows, tool="overhead")

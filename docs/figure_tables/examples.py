@@ -21,7 +21,7 @@ def projected(report: Row) -> dict[int, Row]:
     return {row["modes"]: row for row in report["reduced"] if row["series"] == "projected"}
 
 
-@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
+@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45", timed=True)
 def beam_projected(beam: Row, softer: Row) -> str:
     """Return the errors of projected models of the paper's beam at two Poisson's ratios."""
     rows = [
@@ -34,7 +34,7 @@ def beam_projected(beam: Row, softer: Row) -> str:
     return markdown(["ν", "modes", *ERRORS, "projection", "time / full", "steps"], rows)
 
 
-@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
+@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45", timed=True)
 def beam_full(beam: Row, softer: Row) -> str:
     """Return the runs of the full models of the paper's beam."""
     rows = []
@@ -49,7 +49,7 @@ def beam_full(beam: Row, softer: Row) -> str:
     return markdown([*heads, "largest miss of the energy balance over the largest work"], rows)
 
 
-@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
+@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45", timed=True)
 def beam_sampled(beam: Row, softer: Row) -> str:
     """Return the errors of sampled models against the energy form, which they reduce."""
     rows = []
@@ -84,13 +84,13 @@ def series_of(report: Row) -> tuple[str, str]:
     return first, second
 
 
-@block("reproduce_membrane", command=MEMBRANE_RUN)
+@block("reproduce_membrane", command=MEMBRANE_RUN, timed=True)
 def membrane_projected(report: Row) -> str:
     """Return the errors of projected models of the paper's membrane."""
     return _membrane_table(report, series_of(report)[0])
 
 
-@block("reproduce_membrane", command=MEMBRANE_RUN)
+@block("reproduce_membrane", command=MEMBRANE_RUN, timed=True)
 def membrane_sampled(report: Row) -> str:
     """Return the errors of hyper-reduced models of the paper's membrane."""
     return _membrane_table(report, series_of(report)[1])

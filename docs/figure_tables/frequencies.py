@@ -26,7 +26,7 @@ def tips(rows: list[Row]) -> str:
     return markdown(["load", "ν", *(head for head, _ in columns)], lines)
 
 
-@block("frequencies", command="python validation/frequencies.py")
+@block("frequencies", command="python validation/frequencies.py --forms strong")
 def frequencies_strong(rows: list[Row]) -> str:
     """Return the errors of the first bending and axial frequency of the strong form."""
     spacings = (0.02 / 3, 0.005, 0.004)

@@ -8,7 +8,7 @@ from figure_tables.cells import Row, block, distinct, find, markdown
 LITTLE_FORCE = 0.1  # largest force of a path over that of all, below which a path counts as one of little force
 
 
-@block("organ_models", command="python validation/organ_models.py")
+@block("organ_models", command="python validation/organ_models.py", timed=True)
 def organ_models(entries: list[Row]) -> str:
     """Return times and errors of the models of every surface, with default choices."""
     lines = []
@@ -69,7 +69,7 @@ def _poked(case: Row | None) -> str:
     return f"{1e3 * case['spacing']:.3g} mm: {outcome}, gap {case['balance']:.2%}"
 
 
-@block("out_of_core", command="python validation/out_of_core.py")
+@block("out_of_core", command="python validation/out_of_core.py", timed=True)
 def out_of_core(rows: list[Row]) -> str:
     """Return memory and accuracy of the modes of snapshots in files."""
     of = {"strain": "du/dX", "displacement": "u"}

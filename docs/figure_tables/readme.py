@@ -13,7 +13,7 @@ def displacements(rows: dict[int, Row], *sizes: int) -> str:
     return "; ".join(percent(rows[modes]["errors"]["displacement"]) for modes in sizes)
 
 
-@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
+@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45", timed=True)
 def beam_claims(beam: Row, softer: Row) -> str:
     """Return the paper's claims on the beam next to what was measured."""
     both = [projected(report) for report in (beam, softer)]
@@ -31,7 +31,7 @@ def beam_claims(beam: Row, softer: Row) -> str:
     return markdown(heads, rows)
 
 
-@block("reproduce_membrane", command=MEMBRANE_RUN)
+@block("reproduce_membrane", command=MEMBRANE_RUN, timed=True)
 def membrane_claims(report: Row) -> str:
     """Return the paper's claims on the membrane next to what was measured while the tool pushes."""
     plain, sampled = (membrane_phase(report, series, "push") for series in series_of(report))
@@ -77,7 +77,7 @@ def bench_rows(bench: Row) -> list[list[str]]:
     ]  # fmt: skip
 
 
-@block("bench", command="python benchmarks/speed.py")
+@block("bench", command="python benchmarks/speed.py", timed=True)
 def bench_models(bench: Row) -> str:
     """Return the speed of full and reduced models."""
     beam, full = bench["beam"][0], bench["full_body"]
@@ -103,6 +103,7 @@ def bench_models(bench: Row) -> str:
     "elements", "organ_models", "hand", "bench", "reproduce_beam", "held_out",
     command="python validation/elements.py`, `python validation/organ_models.py`, `python validation/hand.py --keep`, "
     f"`python benchmarks/speed.py`, `{BEAM_RUNS}` and `python validation/held_out.py",
+    timed=True,
 )  # fmt: skip
 def readme_figures(
     elements: list[Row], organs: list[Row], hands: list[Row], bench: Row, beam: Row, studies: Row

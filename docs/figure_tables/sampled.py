@@ -71,7 +71,7 @@ def held_out_stability(studies: Row) -> str:
     return markdown(heads, lines)
 
 
-@block("held_out", command="python validation/held_out.py stepping")
+@block("held_out", command="python validation/held_out.py stepping", timed=True)
 def held_out_stepping(studies: Row) -> str:
     """Return the cost and the errors of steps."""
     lines = [
@@ -105,7 +105,7 @@ def held_out_sampling(studies: Row) -> str:
     return markdown(heads, lines)
 
 
-@block("large_training", command="python validation/large_training.py")
+@block("large_training", command="python validation/large_training.py", timed=True)
 def large_training(rows: list[Row]) -> str:
     """Return time and memory of a training at many nodes."""
     lines = [

@@ -19,6 +19,7 @@ sys.path.append(str(ROOT / "validation"))
 result_files = __import__("result_files")
 
 PAGES = [page for page in figures.pages() if "<!-- figures: " in page.read_text(encoding="utf-8")]
+BEFORE_DIGESTS = "2026-11-30"  # runs until then have none
 FILES = sorted((ROOT / "docs" / "validation").glob("*.json"))
 
 
@@ -67,17 +68,69 @@ def test_a_table_names_the_last_run_of_its_command(monkeypatch):
             ("1111111", {}), ("2222222", {"command": "a.py b"}), ("3333333", {"command": "a.py"})
         )
     )  # fmt: skip
-    page = ROOT / "README.md"
     for made, command, commit in (
         ([old], "a.py b", old), ([old, part], "a.py b", part), ([old, part], "a.py c", old),
         ([old, part, whole], "a.py b", whole), ([old, whole, part], "a.py c", whole),
         ([old, part], "z.py` and `a.py b", part), ([old, whole], "a.pyx", old),
     ):  # fmt: skip
         monkeypatch.setattr(figures, "content", lambda name, made=made: {"made": made})
-        assert commit["commit"] in figures.origin("tips", command, page)
+        assert figures.run_of("tips", command) is commit
     monkeypatch.setattr(figures, "content", lambda name: {"made": [part]})
     with pytest.raises(ValueError, match=r"tips\.json must have a run of a\.py c"):
-        figures.origin("tips", "a.py c", page)
+        figures.run_of("tips", "a.py c")
+
+
+RUN = {
+    "command": "a.py", "commit": "1111111", "date": "2026-12-01", "note": "next to other work (load 9)",
+    "machine": "2 cores, Intel(R) Xeon(R) Processor @ 2.50GHz, Linux",
+}  # fmt: skip
+ONE = "commit 1111111, 2026-12-01, 2 cores Intel Xeon 2.50GHz"
+
+
+def origin(monkeypatch, table="| a |", timed=False, **runs):
+    monkeypatch.setattr(figures, "content", lambda name: {"made": [runs[name]]})
+    block = figures.Block(len, tuple(runs), "a.py", timed)
+    return figures.origin(block, ROOT / "docs" / "claims" / "page.md", table)
+
+
+def test_the_line_below_a_table_has_command_commit_date_machine_and_file(monkeypatch):
+    assert origin(monkeypatch, tips=RUN) == f"`a.py`, {ONE} ([tips](../validation/tips.json))"
+
+
+def test_files_of_one_run_share_its_line_and_others_follow(monkeypatch):
+    links = [f"[{name}](../validation/{name}.json)" for name in ("tips", "land")]
+    assert origin(monkeypatch, tips=RUN, land=RUN) == f"`a.py`, {ONE} ({', '.join(links)})"
+    other = {**RUN, "commit": "2222222"}
+    both = f"`a.py`, {ONE} ({links[0]}); {ONE.replace('1111111', '2222222')} ({links[1]})"
+    assert origin(monkeypatch, tips=RUN, land=other) == both
+
+
+def test_other_work_is_stated_below_tables_of_times_alone(monkeypatch):
+    assert "other work" not in origin(monkeypatch, tips=RUN)
+    assert f"{ONE}, next to other work (load 9)" in origin(monkeypatch, timed=True, tips=RUN)
+
+
+def test_a_command_that_the_table_has_is_not_repeated(monkeypatch):
+    assert origin(monkeypatch, table="| `a.py` |", tips=RUN) == f"{ONE} ([tips](../validation/tips.json))"
+
+
+def test_results_older_than_the_code_are_listed_with_what_changed(monkeypatch):
+    changes = {"1111111": [], "2222222": ["src/palpate/dynamics/solid", "validation/tips.py"], "3333333": None}
+    runs = {("tips", "a.py"): "1111111", ("land", "b.py"): "2222222", ("bench", "c.py"): "3333333"}
+    entries = {key: {"commit": commit, "date": "2026-12-01"} for key, commit in runs.items()}
+    monkeypatch.setattr(figures, "shown", lambda: entries)
+    monkeypatch.setattr(figures.result_files, "changed", lambda run: changes[run["commit"]])
+    text = figures.stale()
+    assert "| land | `b.py` | 2026-12-01 | `dynamics/solid`, `validation/tips.py` |" in text
+    assert "Made until 2026-12-01, before digests were kept: bench." in text
+    assert "tips |" not in text
+    monkeypatch.setattr(figures, "shown", lambda: {("tips", "a.py"): entries["tips", "a.py"]})
+    assert figures.stale() == "None."
+
+
+def test_runs_behind_the_pages_have_a_digest_since_digests_are_kept():
+    for (file, command), run in figures.shown().items():
+        assert "code" in run or run["date"] <= BEFORE_DIGESTS, f"{file}.json: {command}"
 
 
 def test_written_results_are_read_again_with_their_origin(tmp_path, monkeypatch):
