@@ -38,24 +38,29 @@ def content(name: str) -> dict[str, Any]:
     return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
 
 
-def run_of(name: str, command: str) -> dict[str, Any]:
-    """Return the last run of a command, or of commands, that made a result file: an entry of its ``made``.
+def commands_of(block: Block) -> list[str]:
+    """Return the commands of a block, whose text joins them by words between backticks."""
+    return re.split(r"`[^`]*`", block.command)
 
-    A run of all parts of a study counts for each. Where no run of the command is known, it is the oldest entry, which
-    names none.
+
+def runs_of(name: str, block: Block) -> list[tuple[str, dict[str, Any]]]:
+    """Return the commands of a block that made a result file, each with its last run: an entry of the file's ``made``.
+
+    A run of all parts of a study counts for each. Where no run of a command is known, it is the entry that has none.
 
     Raises
     ------
     ValueError
         Only other commands made the file.
     """
-    made = content(name)["made"]
-    wanted = re.split(r"`[^`]*`", command)
-    runs = [each for each in made if any(f"{one} ".startswith(f"{each.get('command')} ") for one in wanted)]
-    possible = runs or [each for each in made if "command" not in each]
-    if not possible:
-        raise ValueError(f"{name}.json must have a run of {command}, got {[each['command'] for each in made]}; run it")
-    return possible[-1]
+    made, runs = content(name)["made"], []
+    unnamed = [each for each in made if "command" not in each]
+    for command in commands_of(block):
+        known = [each for each in made if f"{command} ".startswith(f"{each.get('command')} ")]
+        runs += [(command, each) for each in (known or unnamed)[-1:]]
+    if not runs:
+        raise ValueError(f"{name}.json must have a run of {block.command}, got {[each['command'] for each in made]}")
+    return runs
 
 
 def provenance(entry: dict[str, Any], timed: bool) -> str:
@@ -68,15 +73,24 @@ def provenance(entry: dict[str, Any], timed: bool) -> str:
 def origin(block: Block, page: Path, table: str) -> str:
     """Return the line below a table: command, commit, date, machine and result files.
 
-    Commands that the table has in its rows are left out. Files of one run share its text.
+    What was made at the same place and time is stated once. Commands that the table has in its rows are left out.
     """
-    files: dict[str, list[str]] = {}
+    commands, links = dict[str, list[str]](), dict[str, list[str]]()
     for name in block.files:
         link = Path(os.path.relpath(RESULTS / f"{name}.json", page.parent)).as_posix()
-        files.setdefault(provenance(run_of(name, block.command), block.timed), []).append(f"[{name}]({link})")
-    listed = all(f"`{one}`" in table for one in re.split(r"`[^`]*`", block.command))
-    runs = "; ".join(f"{run} ({', '.join(links)})" for run, links in files.items())
-    return runs if listed else f"`{block.command}`, {runs}"
+        for command, run in runs_of(name, block):
+            key = provenance(run, block.timed)
+            for each, word in ((commands, f"`{command}`"), (links, f"[{name}]({link})")):
+                each.setdefault(key, []).extend([word] * (word not in each.get(key, [])))
+    if all(f"`{command}`" in table for command in commands_of(block)):
+        commands = {}
+    elif len({tuple(each) for each in commands.values()}) == 1:
+        commands = {next(iter(commands)): [f"`{block.command}`"]}
+    shared = len({tuple(names) for names in links.values()}) == 1
+    parts = [", ".join([*([" and ".join(commands[key])] if key in commands else []), key]) for key in links]
+    files = [f" ({', '.join(names)})" for names in links.values()]
+    ends = [""] * (len(files) - 1) + files[-1:] if shared else files
+    return "; ".join(part + end for part, end in zip(parts, ends, strict=True))
 
 
 def text(name: str, page: Path) -> str:
@@ -89,9 +103,11 @@ def text(name: str, page: Path) -> str:
 def shown() -> dict[tuple[str, str], dict[str, Any]]:
     """Return the runs behind the tables of all pages, by result file and command."""
     names = {match[2] for page in pages() for match in BLOCK.finditer(page.read_text(encoding="utf-8"))}
-    blocks = [BLOCKS[name] for name in sorted(names)]
-    runs = {(file, block.command): run_of(file, block.command) for block in blocks for file in block.files}
-    return {(file, run.get("command", command)): run for (file, command), run in sorted(runs.items())}
+    found = {}
+    for block in (BLOCKS[name] for name in names):
+        for file in block.files:
+            found |= {(file, run.get("command", command)): run for command, run in runs_of(file, block)}
+    return dict(sorted(found.items()))
 
 
 def stale() -> str:

@@ -61,6 +61,10 @@ def test_a_changed_result_changes_its_block(monkeypatch):
     assert figures.text("frequencies_energy", page) != before
 
 
+def block_of(command, *files, timed=False):
+    return figures.Block(len, files, command, timed)
+
+
 def test_a_table_names_the_last_run_of_its_command(monkeypatch):
     old, part, whole = (
         {"commit": commit, "date": "2026-01-01", **command}
@@ -74,10 +78,10 @@ def test_a_table_names_the_last_run_of_its_command(monkeypatch):
         ([old, part], "z.py` and `a.py b", part), ([old, whole], "a.pyx", old),
     ):  # fmt: skip
         monkeypatch.setattr(figures, "content", lambda name, made=made: {"made": made})
-        assert figures.run_of("tips", command) is commit
+        assert [run for _, run in figures.runs_of("tips", block_of(command))][-1] is commit
     monkeypatch.setattr(figures, "content", lambda name: {"made": [part]})
     with pytest.raises(ValueError, match=r"tips\.json must have a run of a\.py c"):
-        figures.run_of("tips", "a.py c")
+        figures.runs_of("tips", block_of("a.py c"))
 
 
 RUN = {
@@ -89,8 +93,7 @@ ONE = "commit 1111111, 2026-12-01, 2 cores Intel Xeon 2.50GHz"
 
 def origin(monkeypatch, table="| a |", timed=False, **runs):
     monkeypatch.setattr(figures, "content", lambda name: {"made": [runs[name]]})
-    block = figures.Block(len, tuple(runs), "a.py", timed)
-    return figures.origin(block, ROOT / "docs" / "claims" / "page.md", table)
+    return figures.origin(block_of("a.py", *runs, timed=timed), ROOT / "docs" / "claims" / "page.md", table)
 
 
 def test_the_line_below_a_table_has_command_commit_date_machine_and_file(monkeypatch):
@@ -103,6 +106,14 @@ def test_files_of_one_run_share_its_line_and_others_follow(monkeypatch):
     other = {**RUN, "commit": "2222222"}
     both = f"`a.py`, {ONE} ({links[0]}); {ONE.replace('1111111', '2222222')} ({links[1]})"
     assert origin(monkeypatch, tips=RUN, land=other) == both
+
+
+def test_a_file_of_two_runs_has_both_with_their_commands(monkeypatch):
+    other = {**RUN, "command": "b.py", "commit": "2222222"}
+    monkeypatch.setattr(figures, "content", lambda name: {"made": [RUN, other]})
+    line = figures.origin(block_of("a.py` and `b.py", "tips"), ROOT / "README.md", "")
+    link = "([tips](docs/validation/tips.json))"
+    assert line == f"`a.py`, {ONE}; `b.py`, {ONE.replace('1111111', '2222222')} {link}"
 
 
 def test_other_work_is_stated_below_tables_of_times_alone(monkeypatch):
