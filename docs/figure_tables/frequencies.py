@@ -5,8 +5,11 @@ from __future__ import annotations
 
 from figure_tables.cells import Row, block, distinct, find, markdown, millimetres, signed
 
+ENERGY_TIPS = "python validation/tips.py --forms energy --spacings"
+STRONG_TIPS = "python validation/tips.py --forms strong --spacings"
 
-@block("tips", command="python validation/tips.py")
+
+@block("tips", command=f"{ENERGY_TIPS} 0.005`, `{ENERGY_TIPS} 0.004` and `{STRONG_TIPS} 0.005")
 def tips(rows: list[Row]) -> str:
     """Return the error of the mean displacement of the beam's end, by load, form and spacing."""
     columns = [
