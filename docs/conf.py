@@ -99,13 +99,16 @@ ROOT_PAGES = {
     "contributing": "CONTRIBUTING.md",
     "changelog": "CHANGELOG.md",
 }
+SITE_ENDS = "<!-- The site shows what stands above. -->"  # in such a file: the repository alone has what follows
 
 
 def show_root_file(app: Sphinx, page: str, source: list[str]) -> None:
     """Replace the source of a page of `ROOT_PAGES` by its file, and links to these files by links to the pages."""
     up = "../" * page.count("/")
     if page in ROOT_PAGES:
-        text = (ROOT / ROOT_PAGES[page]).read_text(encoding="utf-8")
+        text, _, more = (ROOT / ROOT_PAGES[page]).read_text(encoding="utf-8").partition(SITE_ENDS)
+        if more:
+            text += f"Everything else is in `{ROOT_PAGES[page]}` of the repository.\n"
         text = re.sub(r"\]\(docs/", f"]({up}", text)
         source[0] = re.sub(r"\[([^\]]*)\]\((?!https?:|#)(?:tests|benchmarks|validation|examples|src|page)/[^)]*\)",
                            r"\1", text)  # fmt: skip

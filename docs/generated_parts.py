@@ -1,4 +1,4 @@
-"""Parts of the site that come of the code: the list of public names, and the options of all commands."""
+"""Parts of the site that come of the code: public names, options of all commands, and results older than the code."""
 
 from __future__ import annotations
 
@@ -105,7 +105,14 @@ def linked(text: str) -> str:
     return re.sub(r"docs/(\w+)\.md(#[\w-]+)?", r"[\1](../\1.md\2)", text)
 
 
-GENERATED_PARTS = {"names": names, "commands": commands}
+def stale_results() -> str:
+    """Return the results that are older than the code."""
+    import figures
+
+    return figures.stale()
+
+
+GENERATED_PARTS = {"names": names, "commands": commands, "stale_results": stale_results}
 
 
 def fill(text: str) -> str:

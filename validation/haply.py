@@ -215,5 +215,4 @@ if __name__ == "__main__":
     results = result_files.read("haply", {})
     for part in given.parts:
         results[part] = {"passivity": passivity, "times": times}[part]()
-        load = f"next to other work (load {os.getloadavg()[0]:.0f})" if part == "times" else ""
-        result_files.write("haply", results, f"python validation/haply.py --parts {part}", load)
+        result_files.write("haply", results, f"python validation/haply.py --parts {part}")

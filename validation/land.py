@@ -43,7 +43,6 @@ def run_to_rest(model: Any, u: Any, tip: int) -> tuple[Any, int, float]:
     """Return displacements at rest, the steps taken, and the norm of the forces left over that of the pressure's."""
     prepared, rest = model.prepare([pt.Pressure("z-", PRESSURE)]), np.zeros_like(u)
     v, step, before = np.zeros_like(u), 0.0, np.inf
-    model.highest_frequency.restart()
     for steps in range(MAX_STEPS):
         if steps % EVERY == 0:
             step = SHARE * model.stable_step(pt.State(u, rest, 0.0), prepared)[0]

@@ -4,24 +4,36 @@
 
 keeps a report of `palpate reproduce`, `speed.py` or `linear_reductions.py` as the result file NAME, with a note on
 the machine. A file holds ``results``, what the study found in SI units, and ``made``, one entry for every command that
-wrote it: command, commit, date and machine. `docs/figures.py` makes the tables of the docs from these files. Entries
-without a machine are older than this module; their commit is the one that last changed the figures.
+wrote it: command, commit, date, machine and code. `docs/figures.py` makes the tables of the docs from these files.
+Entries without a machine are older than this module; their commit is the one that last changed the figures.
+
+The code of an entry has a digest for each folder of src/palpate that the command imported, and for each script. A
+result is older than the code where one of them differs today: `changed` lists these. Comments, docstrings, annotations
+and the texts of errors are not in a digest, and neither is `palpate.core` (errors, files, figures).
 """
 
 from __future__ import annotations
 
+import ast
 import datetime
+import hashlib
 import json
 import os
 import platform
+import re
 import shlex
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "validation"
+PACKAGE = "src/palpate"
+MECHANICS = f"{PACKAGE}/dynamics"
+# code from which no figure follows: errors and files; the writers of results
+UNCOUNTED = (f"{PACKAGE}/core", "validation/result_files.py")
 # entries of reports that no table has
 OMITTED = ("machine", "singular_values", "hankel_singular_values", "summary", "paper", "missing")
 
@@ -33,14 +45,18 @@ def read(name: str, default: Any) -> Any:
 
 
 def write(name: str, results: Any, command: str | None = None, note: str = "") -> None:
-    """Write the results of a study, and by which command, commit and machine (with a note) they were made."""
+    """Write the results of a study, and by which command, commit, machine and code they were made.
+
+    A note says what else matters to times, by default that the machine had other work.
+    """
     path = FOLDER / f"{name}.json"
     made = json.loads(path.read_text(encoding="utf-8"))["made"] if path.is_file() else []
+    command, note = command or this_command(), note or other_work()
     entry = {
-        "command": command or this_command(), "commit": commit(), "date": datetime.date.today().isoformat(),
-        "machine": ", ".join(filter(None, [machine(), note])),
+        "command": command, "commit": commit(), "date": datetime.date.today().isoformat(), "machine": machine(),
+        **({"note": note} if note else {}), "code": code(command),
     }  # fmt: skip
-    made = [each for each in made if each.get("command") != entry["command"]]
+    made = [each for each in made if each.get("command") != command]
     path.write_text(text({"made": [*made, entry], "results": results}), encoding="utf-8")
 
 
@@ -88,6 +104,66 @@ def machine() -> str:
         names = [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
         processor = names[0] if names else processor
     return f"{os.cpu_count()} cores, {processor}, {platform.system()}"
+
+
+def other_work() -> str:
+    """Return a note if more processes wait for this machine's cores than it has; empty where that is not known."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    return f"next to other work (load {load:.0f})" if load > (os.cpu_count() or 1) + 0.5 else ""
+
+
+def code(command: str) -> dict[str, str]:
+    """Return the digest of each folder and script that a command of this process depends on, by path.
+
+    A command whose process has imported no mechanics ran it in others: it depends on all folders but those of `app`.
+    """
+    scripts, folders = set(re.findall(r"[\w/]+\.py", command)), set()
+    for module in list(sys.modules.values()):
+        file = Path(getattr(module, "__file__", None) or ROOT.parent).resolve()
+        if not file.is_relative_to(ROOT):
+            continue
+        place = file.relative_to(ROOT)
+        if place.is_relative_to(PACKAGE):
+            folders.add(place.parent.as_posix())
+        elif place.parts[0] in ("validation", "benchmarks"):
+            scripts.add(place.as_posix())
+    if not any(folder.startswith(MECHANICS) for folder in folders):
+        every = {file.parent.relative_to(ROOT).as_posix() for file in (ROOT / PACKAGE).rglob("*.py")}
+        folders |= {folder for folder in every if not folder.startswith(f"{PACKAGE}/app")}
+    counted = {place for place in {*scripts, *folders} if not place.startswith(UNCOUNTED)} - {PACKAGE}
+    return {place: digest(ROOT / place) for place in sorted(counted)}
+
+
+def changed(entry: dict[str, Any]) -> list[str] | None:
+    """Return the folders and scripts whose code differs from that of an entry; None if the entry has none."""
+    if "code" not in entry:
+        return None
+    return [place for place, before in entry["code"].items() if digest(ROOT / place) != before]
+
+
+@cache
+def digest(place: Path) -> str:
+    """Return a digest of what the modules of a folder, or a script, execute; empty if there is none."""
+    files = [place] if place.is_file() else sorted(place.glob("*.py"))
+    described = [(file.name, _described(ast.parse(file.read_text(encoding="utf-8")))) for file in files]
+    return hashlib.sha256(repr(described).encode()).hexdigest()[:8] if files else ""
+
+
+def _described(part: Any) -> Any:
+    """Return a part of a syntax tree as plain data, the same for all versions of Python."""
+    if isinstance(part, list):
+        return [_described(each) for each in part if not _is_text(each)]
+    if not isinstance(part, ast.AST):
+        return repr(part)
+    if isinstance(part, ast.Raise):
+        return "raise"
+    fields = [(name, value) for name, value in ast.iter_fields(part) if name not in ("annotation", "returns")]
+    return (type(part).__name__, *((name, _described(value)) for name, value in fields if value not in (None, [])))
+
+
+def _is_text(part: Any) -> bool:
+    """Return True for a statement that is a constant, such as a docstring."""
+    return isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant)
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ its block in the pages.
 
 from figure_tables import (
     bases,
+    cells,
     contact,
     cuts,
     elements,
@@ -28,7 +29,7 @@ from figure_tables import (
 from figure_tables.cells import BLOCKS, Block
 
 __all__ = [
-    "BLOCKS", "Block", "bases", "contact", "cuts", "elements", "examples", "exported", "frequencies", "haply",
+    "BLOCKS", "Block", "bases", "cells", "contact", "cuts", "elements", "examples", "exported", "frequencies", "haply",
     "incompressible",
     "laws", "linear", "membranes", "organs", "peers", "readme", "reduced_cuts", "sampled", "starts", "steps",
 ]  # fmt: skip

@@ -20,16 +20,17 @@ class Block:
     table: Callable[..., str]  # takes the results of each file
     files: tuple[str, ...]  # names of result files, without .json
     command: str  # that makes them
+    timed: bool  # it has times, which depend on what else the machine did
 
 
 BLOCKS: dict[str, Block] = {}
 
 
-def block(*files: str, command: str) -> Callable[[Callable[..., str]], Callable[..., str]]:
+def block(*files: str, command: str, timed: bool = False) -> Callable[[Callable[..., str]], Callable[..., str]]:
     """Register a function of results as the block of its name."""
 
     def register(table: Callable[..., str]) -> Callable[..., str]:
-        BLOCKS[table.__name__] = Block(table, files, command)
+        BLOCKS[table.__name__] = Block(table, files, command, timed)
         return table
 
     return register

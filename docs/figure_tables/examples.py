@@ -22,7 +22,7 @@ def projected(report: Row) -> dict[int, Row]:
     return {row["modes"]: row for row in report["reduced"] if row["series"] == "projected"}
 
 
-@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
+@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45", timed=True)
 def beam_models(beam: Row, softer: Row) -> str:
     """Return the errors of projected and sampled models of the paper's beam at two Poisson's ratios."""
     rows = []
@@ -47,7 +47,7 @@ def series_of(report: Row) -> tuple[str, str]:
     return first, second
 
 
-@block("reproduce_membrane", command=MEMBRANE_RUN)
+@block("reproduce_membrane", command=MEMBRANE_RUN, timed=True)
 def membrane_models(report: Row) -> str:
     """Return the errors of projected and hyper-reduced models of the paper's membrane."""
     rows = []

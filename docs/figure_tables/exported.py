@@ -20,7 +20,7 @@ def exported(found: list[Row]) -> str:
     return markdown(heads, lines)
 
 
-@block("exported_times", command="python validation/exported.py --times")
+@block("exported_times", command="python validation/exported.py --times", timed=True)
 def exported_times(found: list[Row]) -> str:
     """Return times of a period in contact, over that of the engine in the same run."""
     lines = [[row["name"], f"{1e6 * row['seconds']:.0f} µs", f"{row['ratio']:.2f}"] for row in found]

@@ -5,8 +5,11 @@ from __future__ import annotations
 
 from figure_tables.cells import Row, block, distinct, find, markdown, millimetres, signed
 
+ENERGY_TIPS = "python validation/tips.py --forms energy --spacings"
+STRONG_TIPS = "python validation/tips.py --forms strong --spacings"
 
-@block("tips", command="python validation/tips.py")
+
+@block("tips", command=f"{ENERGY_TIPS} 0.005`, `{ENERGY_TIPS} 0.004` and `{STRONG_TIPS} 0.005")
 def tips(rows: list[Row]) -> str:
     """Return the error of the mean displacement of the beam's end, by load, form and spacing."""
     columns = (("energy", 0.005), ("energy", 0.004), ("strong", 0.005))
@@ -23,7 +26,7 @@ def tips(rows: list[Row]) -> str:
     return markdown(["load", f"ν = 0.3: {names} [%]", "ν = 0.45", "ν = 0.49"], lines)
 
 
-@block("frequencies", command="python validation/frequencies.py")
+@block("frequencies", command="python validation/frequencies.py --forms strong")
 def frequencies_strong(rows: list[Row]) -> str:
     """Return the errors of the first bending and axial frequency of the strong form."""
     spacings = (0.02 / 3, 0.005, 0.004)

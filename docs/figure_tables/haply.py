@@ -24,7 +24,7 @@ def haply_passivity(results: Row) -> str:
     return markdown([*heads, "with the local model", "and the observer"], lines)
 
 
-@block("haply", command="python validation/haply.py --parts times")
+@block("haply", command="python validation/haply.py --parts times", timed=True)
 def haply_times(results: Row) -> str:
     """Return the times until a hand is free, by failure."""
     failures = results["times"]["failures"]

@@ -7,6 +7,8 @@ from typing import Any
 
 from figure_tables.cells import Row, block, find, markdown, millimetres, signed
 
+STUDY_SCRIPT = "python validation/incompressible.py"
+BOTH_CLOUDS = f"{STUDY_SCRIPT} blocks --jitters 0`, `{STUDY_SCRIPT} blocks --jitters 0.2`"
 CASES = ("tension", "compression", "bending", "torsion")
 
 
@@ -15,7 +17,7 @@ def _error_or_gap(rows: list[Row], **key: Any) -> str:
     return signed(found["error"], unit="") if found else "not run"
 
 
-@block("incompressible", command="python validation/incompressible.py blocks` and `... cook")
+@block("incompressible", command=f"{BOTH_CLOUDS} and `{STUDY_SCRIPT} cook --spacings 0.005 0.004")
 def incompressible_energy(found: Row) -> str:
     """Return the errors of the energy form on blocks and Cook's slab, lattice and jittered cloud."""
     lines = []
@@ -30,7 +32,7 @@ def incompressible_energy(found: Row) -> str:
     return markdown(["case", "ν", "5 mm: lattice; jittered [%]", "2.5 mm"], lines)
 
 
-@block("incompressible", command="python validation/incompressible.py blocks` and `... shown")
+@block("incompressible", command=f"{BOTH_CLOUDS} and `{STUDY_SCRIPT} shown")
 def incompressible_pressures(found: Row) -> str:
     """Return checkerboards and errors of pressures at 2.5 mm and a Poisson's ratio of 0.499."""
     lines = []
@@ -48,7 +50,7 @@ def incompressible_pressures(found: Row) -> str:
     return markdown(heads, lines)
 
 
-@block("incompressible", command="python validation/incompressible.py blocks")
+@block("incompressible", command=f"{BOTH_CLOUDS} and `{STUDY_SCRIPT} blocks --forms strong --spacings 0.005")
 def incompressible_steps(found: Row) -> str:
     """Return the stable step at rest of the block."""
     lines = []

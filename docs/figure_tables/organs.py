@@ -6,7 +6,7 @@ from __future__ import annotations
 from figure_tables.cells import Row, block, distinct, markdown
 
 
-@block("organ_models", command="python validation/organ_models.py")
+@block("organ_models", command="python validation/organ_models.py", timed=True)
 def organ_models(entries: list[Row]) -> str:
     """Return times and errors of the models of every surface, with default choices."""
     lines = []
@@ -37,7 +37,7 @@ def organs(found: Row) -> str:
     return markdown(["surface", "nodes", "stable", "largest gap of the energy balance"], lines)
 
 
-@block("out_of_core", command="python validation/out_of_core.py")
+@block("out_of_core", command="python validation/out_of_core.py", timed=True)
 def out_of_core(rows: list[Row]) -> str:
     """Return memory and accuracy of the modes of snapshots in files."""
     of = {"strain": "du/dX", "displacement": "u"}

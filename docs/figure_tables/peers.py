@@ -5,7 +5,7 @@ from __future__ import annotations
 from figure_tables.cells import Row, block, markdown, signed
 
 
-@block("peers", command="python benchmarks/peers.py")
+@block("peers", command="python benchmarks/peers.py", timed=True)
 def peers(found: Row) -> str:
     """Return errors and computing times of palpate and its peers on the same lattices."""
     lines = []

@@ -15,7 +15,7 @@ def displacements(rows: dict[int, Row], *sizes: int) -> str:
     return "; ".join(percent(rows[modes]["errors"]["displacement"]) for modes in sizes)
 
 
-@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
+@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45", timed=True)
 def beam_claims(beam: Row, softer: Row) -> str:
     """Return the paper's claims on the beam next to what was measured."""
     both = [projected(report) for report in (beam, softer)]
@@ -33,7 +33,7 @@ def beam_claims(beam: Row, softer: Row) -> str:
     return markdown(heads, rows)
 
 
-@block("reproduce_membrane", command=MEMBRANE_RUN)
+@block("reproduce_membrane", command=MEMBRANE_RUN, timed=True)
 def membrane_claims(report: Row) -> str:
     """Return the paper's claims on the membrane next to what was measured while the tool pushes."""
     plain, sampled = (membrane_phase(report, series, "push") for series in series_of(report))
@@ -79,7 +79,7 @@ def bench_rows(bench: Row) -> list[list[str]]:
     ]  # fmt: skip
 
 
-@block("bench", command="python benchmarks/speed.py")
+@block("bench", command="python benchmarks/speed.py", timed=True)
 def bench_models(bench: Row) -> str:
     """Return the speed of full and reduced models."""
     beam, full = bench["beam"][0], bench["full_body"]
@@ -104,6 +104,7 @@ def bench_models(bench: Row) -> str:
 @block(
     "elements", "patches", "cuts", "reproduce_beam",
     command=f"python validation/elements.py`, `{PATCHES}`, `{CRACKS}` and `{BEAM_RUNS}",
+    timed=True,
 )  # fmt: skip
 def readme_figures(elements: list[Row], patches: list[Row], found: Row, beam: Row) -> str:
     """Return the four figures of the README, each with what it is compared with and the command that makes it."""

@@ -22,7 +22,7 @@ def reduced_cuts_errors(livers: list[Row]) -> str:
     return markdown(["trained on", "opening", "force", "energy release", "blade"], lines)
 
 
-@block("reduced_cuts", command=RUNS)
+@block("reduced_cuts", command=RUNS, timed=True)
 def reduced_cuts_cost(livers: list[Row]) -> str:
     """Return the processor time of a period, and errors in runs."""
     lines = []

@@ -51,7 +51,7 @@ def held_out_sampling(studies: Row) -> str:
     return markdown(heads, lines)
 
 
-@block("large_training", command="python validation/large_training.py")
+@block("large_training", command="python validation/large_training.py", timed=True)
 def large_training(rows: list[Row]) -> str:
     """Return time and memory of a training at many nodes."""
     lines = [

@@ -11,7 +11,11 @@ NAMES = {
 }
 
 
-@block("first_start", command="python benchmarks/first_start.py demo` and `python benchmarks/first_start.py press")
+@block(
+    "first_start",
+    command="python benchmarks/first_start.py demo` and `python benchmarks/first_start.py press",
+    timed=True,
+)
 def first_start(times: Row) -> str:
     """Return the times of commands in a fresh clone, and again."""
     rows = [
@@ -26,7 +30,7 @@ def first_start(times: Row) -> str:
     return markdown(["command", "first time: wall; processor", "second time: wall; processor"], rows)
 
 
-@block("compiled_functions", command="python benchmarks/compiled_functions.py beam reduced touch")
+@block("compiled_functions", command="python benchmarks/compiled_functions.py beam reduced touch", timed=True)
 def compiled_functions(found: Row) -> str:
     """Return how many functions commands compile from an empty cache."""
     rows = [

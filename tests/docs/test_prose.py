@@ -16,6 +16,7 @@ wrap = __import__("wrap")
 
 
 MAX_WORDS = 45  # of a sentence between marks; 25 is the aim, which a count of words cannot judge alone
+SITE_ENDS = "<!-- The site shows what stands above. -->"
 LISTS_OF_FIELDS = {"protocol.md", "ARCHITECTURE.md"}  # pages with items that list the fields of a message or a flow
 
 
@@ -32,6 +33,14 @@ def test_sentences_are_short():
         prose = (" ".join(lines) for is_prose, lines in wrap.blocks(page.read_text(encoding="utf-8")) if is_prose)
         sentences = [sentence for block in prose for sentence in re.split(r"(?<=[.!?:;])\s+", block)]
         assert [sentence for sentence in sentences if len(sentence.split()) > MAX_WORDS] == [], page.name
+
+
+def test_the_site_shows_the_newest_changes_alone():
+    site, mark, more = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").partition(SITE_ENDS)
+    assert mark, "CHANGELOG.md must have the mark where the site's page ends"
+    assert len(site.split()) <= 600, "the site's changelog has more than 600 words"
+    assert "\n## 0.1.0" in more
+    assert SITE_ENDS in (ROOT / "docs" / "conf.py").read_text(encoding="utf-8")
 
 
 def test_prose_is_filled_and_the_rest_is_kept():
