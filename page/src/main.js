@@ -32,6 +32,7 @@ const preparation = new Preparation(byId);
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
+const HOVER_INTERVAL = 50; // [ms] between two looks for a shape under the mouse
 const UNDO_TIME = 3000; // [ms] after an undo within which a body that starts from rest does so because of it
 const MIN_FORCE = 2e-3; // [N] of a tool that touches
 
@@ -234,9 +235,13 @@ function frame(received) {
   else if (received.kind === 5 || received.kind === 6) scene.setBody(received);
   else if (received.kind === 7) {
     scene.setSurroundings(new Surroundings(received), surroundings.asked);
-    surroundings.offer(received.names);
+    surroundings.offer(received);
+    scene.setEdges(received.edges, session.hello?.spacing ?? 0);
+    byId("edge-key").hidden = !scene.edges.shown;
   } else if (received.kind === 1) {
+    scene.edges.spacing = session.hello.spacing;
     scene.setBody(received);
+    byId("edge-key").hidden = !scene.edges.shown;
     byId("fixed-key").hidden = !received.fixed.includes(1);
     if (driver()) hands.start();
     scene.overlay.lines.visible = byId("overlay").checked && session.hello.overlay;
@@ -375,6 +380,7 @@ function renderFrame(now, seconds) {
     showTools(scene, hands, controls.presses, panel.beyond);
     handList.place();
     showAir(session.state, seconds);
+    nameUnderMouse(now);
   }
   if (scene.draw(seconds)) updateScaleBar(byId, scene.metresPerPixel(), session.space, scene.rightward());
   updateReadings(now);
@@ -446,6 +452,25 @@ function announceForce(state, now) {
   const words = value ? `${lead} ${value} newtons${range && `, ${range}`}` : note;
   const depth = pressDepth();
   statusLine.announce([depth === null ? "" : `${depthText(Math.max(depth, 0))} millimetres`, words].filter(Boolean).join(", "));
+}
+
+/** Name the shape next to the body at which a mouse points. */
+let lastName = { at: 0, key: "" };
+function nameUnderMouse(now) {
+  const { hover, presses, pointers } = controls;
+  const free = hover && scene.surroundingsShown && presses.length === 0 && pointers.size === 0;
+  const key = free ? [...hover, ...scene.camera.position.toArray()].join() : "";
+  if (key === lastName.key || (free && now - lastName.at < HOVER_INTERVAL)) return;
+  lastName = { at: now, key };
+  const [shape] = free && !scene.pick(...hover) ? scene.shapesUnder(...hover, Infinity) : [];
+  scene.hoverShape(shape ?? -1);
+  const label = byId("hover-name");
+  label.hidden = shape === undefined;
+  if (label.hidden) return;
+  label.textContent = shapeName(scene.surroundings.names[shape]);
+  const half = label.offsetWidth / 2 + 8;
+  label.style.left = `${Math.max(Math.min((0.5 + 0.5 * hover[0]) * scene.width, scene.width - half), half)}px`;
+  label.style.top = `${Math.max((0.5 - 0.5 * hover[1]) * scene.height, label.offsetHeight + 20)}px`;
 }
 
 /** Say that a tool touches nothing, or is inside the body, next to the tool. */

@@ -28,10 +28,13 @@ export class ToolHints {
     Object.assign(this, { element, used: usedBefore(), silent: new URLSearchParams(location.search).has("still") });
     this.way = matchMedia("(pointer: coarse)").matches ? "touch" : "mouse";
     addEventListener("keydown", () => this.take("keys"), true);
-    addEventListener("pointerdown", ({ pointerType }) => this.take(pointerType === "touch" ? "touch" : "mouse"), true);
+    for (const name of ["pointerdown", "pointermove"]) {
+      addEventListener(name, ({ pointerType }) => this.take(pointerType === "touch" ? "touch" : "mouse"), true);
+    }
   }
 
   take(way) {
+    if (way === this.way) return;
     this.way = way;
     this.update();
   }
