@@ -110,7 +110,7 @@ function start() {
   refinement = new Refinement(byId, send);
   surroundings = new SurroundingsPanel(byId, scene.fine, (shown) => scene.showSurroundings(shown), mark);
   choice = new LabelChoice(byId, send);
-  hints = new ToolHints(byId("hint"));
+  hints = new ToolHints(byId("hint"), byId("sizes"));
   controls = new InputControls(scene, page, hands);
   handList = new HandList(byId, hands, scene, {
     hold: () => controls.hold(),

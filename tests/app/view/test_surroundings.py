@@ -75,7 +75,6 @@ def test_planes_of_the_image_edge_lie_on_the_flat_faces_that_it_cuts(tmp_path):
     assert 0.65 < -(area[faces] @ normal).sum() / (20 * 2.06e-3 * 20 * 2.5e-3) < 1.0  # without its rounded rim
 
 
-
 def decoded(frame):
     """Positions, triangles, numbers of triangles, and the rest of a frame, as docs/protocol.md describes it."""
     kind, count, n, t = struct.unpack("<4I", frame[:16])

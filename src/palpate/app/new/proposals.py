@@ -10,7 +10,7 @@ from palpate.core.arrays import Floats
 from palpate.scenes.description import Near, Place, Plane, Region, Support
 from palpate.scenes.label_parts import inner_labels_of, inner_region, is_large
 from palpate.surface.labels.anatomy import Tissue, tissue_of
-from palpate.surface.labels.label_map import LabelMap, Segment, part_names, segments_mask
+from palpate.surface.labels.label_map import LabelMap, part_names, segments_mask
 from palpate.surface.labels.neighbours import contact_distance, cut_faces, touching_segments
 
 FIRM_WORDS = ("atrium", "ligament", "trachea", "oesophagus", "esophagus")  # of names that hold like vessels
@@ -77,5 +77,3 @@ def propose(
 
 def _rounded(values: Floats, digits: int) -> tuple[float, ...]:
     return tuple(round(float(value), digits) + 0.0 for value in values)
-
-
