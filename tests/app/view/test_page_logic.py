@@ -259,18 +259,20 @@ def test_volumes_have_the_digits_that_one_compares():
 
 
 def test_a_frame_of_shapes_is_decoded():
-    names = ["Niere «links»", "rib"]
+    names, kinds, edges = ["Niere «links»", "rib"], ["organ", "bone"], [[[0.0, 0.0, 0.1], [0.0, 0.0, -1.0]]]
     points = np.arange(21, dtype="<f4")
     triangles = np.array([0, 1, 2, 3, 4, 5, 4, 5, 6], dtype="<u4")
     sizes = np.array([1, 2], dtype="<u4")
     head = np.array([7, 2, 7, 3], dtype="<u4")
-    frame = b"".join(part.tobytes() for part in (head, points, triangles, sizes)) + json.dumps(names).encode()
+    frame = b"".join(part.tobytes() for part in (head, points, triangles, sizes))
+    frame += json.dumps({"names": names, "kinds": kinds, "edges": edges}).encode()
     expression = (
-        f"(({{ positions, triangles, sizes, names }}) => [[...positions], [...triangles], [...sizes], names])"
+        "(({ positions, triangles, sizes, names, kinds, edges }) => "
+        "[[...positions], [...triangles], [...sizes], names, kinds, edges])"
         f"(m.decode(new Uint8Array({list(frame)}).buffer))"
     )
     found = evaluate("protocol.js", expression)
-    assert found == [points.tolist(), triangles.tolist(), sizes.tolist(), names]
+    assert found == [points.tolist(), triangles.tolist(), sizes.tolist(), names, kinds, edges]
 
 
 def test_the_drawn_edge_is_that_of_the_session():
