@@ -228,7 +228,7 @@ def test_a_reset_restores_the_whole_body(cut_session):
 
 @pytest.mark.parametrize("gape", [0.003, 0.026])
 def test_undo_goes_on_from_a_small_wound_and_starts_from_rest_at_a_wide_one(cut_session, gape):
-    """A stroke beside forceps that pull by a way [m], at which the wound opens."""
+    """A stroke next to forceps that pull by a way [m], at which the wound opens."""
     session, cutter, _, _, _ = cut_session
     session.reset()
     place, held = [0.025, 0.008, SIZE[2]], [0.025, 0.008 - gape, SIZE[2] + 0.3 * gape]

@@ -29,11 +29,11 @@ from palpate.app.session.replay import Replay
 from palpate.app.session.session import Session
 from palpate.app.view.server.label_choice import LabelChoice
 from palpate.app.view.server.preparation import Preparation
-from palpate.app.view.surroundings import NO_SURROUNDINGS
 from palpate.scenes.open_scene import open_scene
 from palpate.surface.labels.inner import InnerLabel
 from palpate.surface.labels.label_map import Segment
 from palpate.surface.labels.listing import LabelRow
+from palpate.surface.labels.surroundings import NO_SURROUNDINGS
 from palpate.surface.surface import Surface
 
 sys.path.append(str(Path(__file__).parent))

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.app.view.surroundings import NO_SURROUNDINGS, Surroundings, surroundings_of
+from palpate.app.view.surroundings import surroundings_of
 from palpate.scenes.open_scene import open_scene
+from palpate.surface.labels.surroundings import NO_SURROUNDINGS, Surroundings
 from palpate.surface.surface import Surface
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "surface" / "labels"))

@@ -13,7 +13,7 @@ from palpate.surface.labels.anatomy import Tissue, tissue_of
 from palpate.surface.labels.label_map import LabelMap, part_names, segments_mask
 from palpate.surface.labels.neighbours import contact_distance, cut_faces, touching_segments
 
-FIRM_WORDS = ("atrium", "ligament", "trachea", "oesophagus", "esophagus")  # of names that hold like vessels
+HOLDING_WORDS = ("atrium", "ligament", "trachea", "oesophagus", "esophagus")  # of names that hold like vessels
 MIN_CONTACT_SHARE = 0.01  # of the surface, from which a neighbour is proposed
 MIN_HELD_SHARE = 0.1  # of the surface; less is held by bones and vessels alone if the rear is held, too
 
@@ -49,8 +49,8 @@ def propose(
         near = Place(near=Near(file=str(file), parts=(names[segment],)))
         why = f"touches {share:.1%} of the surface"
         tissue = tissue_of(segment.name)
-        is_firm = tissue is Tissue.VESSEL or any(word in segment.name.lower() for word in FIRM_WORDS)
-        kind = "bone" if tissue is Tissue.BONE else "vessel" if is_firm else ""
+        holds = tissue is Tissue.VESSEL or any(word in segment.name.lower() for word in HOLDING_WORDS)
+        kind = "bone" if tissue is Tissue.BONE else "vessel" if holds else ""
         if kind:
             fixed.append((Support(name=segment.name, place=near, surface_only=True), f"a {kind} that {why}"))
             held += share

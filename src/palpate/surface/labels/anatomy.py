@@ -78,16 +78,16 @@ SOFT_STEMS = ("cyst", "zyst", "kyst", "abscess", "abszess", "angiom", "adenoma",
 NO_CYSTS = ("cystic duct", "cystic artery", "cystic vein", "cholecyst")
 VESSEL_STEMS = ("vessel", "vascul", "arter", "vene")
 VESSEL_WORDS = {"vein", "veins", "vena", "venous", "duct", "ducts", "bile", "biliary"}
-# kinds of tissue by which shapes around a body are coloured; of muscles and bones these are the words of their own
-BONES = {"vertebra", "sacrum", "rib", "clavicle", "skull", "mandible", "sternum", "hip", "pelvis", "femur", "humerus",
-         "scapula", "tibia", "fibula", "patella", "bone"}  # fmt: skip
+# kinds of tissue: names are those of `ORGAN_BY_WORD`, and words further ones that state the kind alone
+BONE_NAMES = {"vertebra", "sacrum", "rib", "clavicle", "skull", "mandible", "sternum", "hip", "pelvis", "femur",
+              "humerus", "scapula", "tibia", "fibula", "patella", "bone"}  # fmt: skip
 BONE_WORDS = {"cartilage", "cartilages", "cranium", "spine", "disc", "discs", "ulna", "radius", "tarsal", "carpal",
               "metatarsal", "metacarpal", "phalanges", "coccyx", "maxilla", "teeth", "tooth", "calvaria"}  # fmt: skip
-VESSELS = {"aorta", "cava", "iliac", "carotid", "subclavian", "brachiocephalic", "celiac", "coeliac", "mesenteric"}
-MUSCLES = {"gluteus", "muscle", "autochthon", "iliopsoas", "psoas", "diaphragm"}
+VESSEL_NAMES = {"aorta", "cava", "iliac", "carotid", "subclavian", "brachiocephalic", "celiac", "coeliac", "mesenteric"}
+MUSCLE_NAMES = {"gluteus", "muscle", "autochthon", "iliopsoas", "psoas", "diaphragm"}
 MUSCLE_WORDS = {"quadriceps", "sartorius", "deltoid", "trapezius", "pectoralis", "serratus", "latissimus", "rectus",
                 "oblique", "hamstrings", "adductor", "supraspinatus", "infraspinatus", "subscapularis"}  # fmt: skip
-OTHERS = {"skin", "spinalcord", "lymph"}
+OTHER_NAMES = {"skin", "spinalcord", "lymph"}
 # words that name no organ, and no place in one
 GENERAL_WORDS = {"label", "segment", "seg", "segmentation", "roi", "mask", "organ", "class", "structure", "region",
                  "object", "the", "of", "in", "and", "whole", "urinary"}  # fmt: skip
@@ -134,13 +134,13 @@ def tissue_of(name: str) -> Tissue:
     organs, words = organs_of(name), set(_text(name).split())
     if is_lesion(name):
         return Tissue.ORGAN
-    if organs & MUSCLES or words & MUSCLE_WORDS:
+    if organs & MUSCLE_NAMES or words & MUSCLE_WORDS:
         return Tissue.MUSCLE
-    if _is_vessel(name) or organs & VESSELS:
+    if _is_vessel(name) or organs & VESSEL_NAMES:
         return Tissue.VESSEL
-    if organs & BONES or words & BONE_WORDS:
+    if organs & BONE_NAMES or words & BONE_WORDS:
         return Tissue.BONE
-    return Tissue.ORGAN if organs - OTHERS else Tissue.OTHER
+    return Tissue.ORGAN if organs - OTHER_NAMES else Tissue.OTHER
 
 
 def is_lesion(name: str) -> bool:

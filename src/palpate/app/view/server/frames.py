@@ -23,8 +23,8 @@ from palpate.realtime.record import layout
 from palpate.surface.labels.anatomy import tissue_of
 
 if TYPE_CHECKING:
-    from palpate.app.view.surroundings import Surroundings
     from palpate.realtime.bodies.display_surface import DisplaySurface
+    from palpate.surface.labels.surroundings import Surroundings
     from palpate.surface.surface import Surface
 
 

@@ -24,7 +24,7 @@ from palpate.app.view.server.page import Page
 from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.server import Server
 from palpate.app.view.server.view_source import Refining, ViewSource
-from palpate.app.view.surroundings import Surroundings
+from palpate.surface.labels.surroundings import Surroundings
 
 JOIN_INTERVAL = 1.0  # [s]
 

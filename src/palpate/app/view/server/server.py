@@ -40,9 +40,9 @@ from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.streams import Streams
 from palpate.app.view.server.view_source import Refining, ViewSource
 from palpate.app.view.server.viewer import INVALID_MESSAGES, VIEWER_TOO_SLOW, Viewer
-from palpate.app.view.surroundings import Surroundings
 from palpate.core.faults import InputError
 from palpate.core.files import shortened
+from palpate.surface.labels.surroundings import Surroundings
 
 VERSIONS_BY_SUBPROTOCOL = {Subprotocol(f"palpate.v{version}"): version for version in reversed(PROTOCOL_VERSIONS)}
 DATA_OF_VERSION_3 = ("max_tools", "all_tools")  # of `hello` and `status`
