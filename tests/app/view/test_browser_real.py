@@ -29,6 +29,7 @@ from palpate.app.session.replay import Replay
 from palpate.app.session.session import Session
 from palpate.app.view.server.label_choice import LabelChoice
 from palpate.app.view.server.preparation import Preparation
+from palpate.realtime.bodies import full_blade
 from palpate.scenes.open_scene import open_scene
 from palpate.surface.labels.inner import InnerLabel
 from palpate.surface.labels.label_map import Segment
@@ -285,7 +286,7 @@ def _tab_to(tab, selector, back=False):
     raise AssertionError(f"no focus on {selector}")
 
 
-def test_a_cut_is_made_undone_and_made_again_by_keyboard_alone(browser, site_of, soft_block):
+def test_a_cut_is_made_undone_and_made_again_by_keyboard_alone(browser, site_of, soft_block, monkeypatch):
     soft_block.reset()
     hint, cut = "document.getElementById('hint').textContent", "document.getElementById('cut').textContent"
     with opening(browser) as open_tab:
@@ -324,8 +325,14 @@ def test_a_cut_is_made_undone_and_made_again_by_keyboard_alone(browser, site_of,
         assert tab.evaluate("document.getElementById('undo').disabled")
         _wait(tab, "palpate.session.state.state === 'running'")
         draw()
-        tab.key("r")
+        monkeypatch.setattr(full_blade, "MAX_STRETCH", 0.0)  # no wound is closed at once
+        _press_key(tab, "z", 90, 2)
         _wait(tab, f"!{LINE} && {cut} === '' && palpate.session.status.strokes === 0")
+        tab.wait("palpate.statusLine.shown.some((text) => text.includes('starts from rest'))")
+        assert (
+            tab.evaluate("Math.max(...palpate.scene.body.positions.map((x, k) => x - palpate.scene.body.rest[k]))")
+            < 1e-6
+        )
         tab.call("Page.reload")
         sleep(1.0)
         tab.wait("window.palpate?.ready", 60)
