@@ -1,15 +1,19 @@
-// The shape of a scalpel: a blade whose edge is that of the session, and a slim handle that leads along the stroke.
+// The shape of a scalpel: a narrow blade behind the edge of the session, and a slim handle that leads along the stroke.
 import * as three from "three";
 import { EDGE_PARTS, cuttingEdge } from "./bladeEdge.js";
 
-const GROUND = 0.12; // width of the ground bevel, and the thickness of the blade, in lengths of the edge
-const THICK = 0.05;
-const LEAN = 0.72; // [rad] of the handle over the surface
-const NECK = [0.32, 0.62]; // where the axis of the handle begins
-const HANDLE = 2.9; // its length
+// in lengths of the edge
+const NARROW = 0.16; // height of the blade behind its edge; it tapers to the point
+const POINT = 0.02;
+const TAPER = 0.55; // share of the edge over which it does
+const GROUND = 0.45; // of the ground bevel, over the height of the blade
+const THICK = 0.045;
+const NECK = [0.61, 0.7]; // where the axis of the handle begins
+const LEAN = 0.86; // [rad] of the handle over the surface
+export const HANDLE = 2.1; // its length
 
 /** Points of a quadratic Bezier curve without its first one. */
-function bend([ax, az], [bx, bz], [cx, cz], parts = 10) {
+function bend([ax, az], [bx, bz], [cx, cz], parts = 8) {
   return Array.from({ length: parts }, (_, k) => {
     const t = (k + 1) / parts;
     const [u, v, w] = [(1 - t) ** 2, 2 * t * (1 - t), t ** 2];
@@ -17,7 +21,7 @@ function bend([ax, az], [bx, bz], [cx, cz], parts = 10) {
   });
 }
 
-/** A point at a way along the handle and aside of its axis, in lengths of the edge. */
+/** A point at a way along the handle and aside of its axis. */
 const onHandle = (along, aside) => [
   NECK[0] + along * Math.cos(LEAN) - aside * Math.sin(LEAN),
   NECK[1] + along * Math.sin(LEAN) + aside * Math.cos(LEAN),
@@ -49,40 +53,46 @@ function groundFaces(edge, inner, length) {
   return made;
 }
 
-/** The parts of a scalpel by the colour that they have: flat, ground, edge, handle and grip. */
-export function scalpelParts(length) {
-  const edge = cuttingEdge(1);
-  const [first, heel] = [edge[0], edge.at(-1)];
-  const tip = [first[0] - 0.045, 0.665];
-  const sharp = [tip, ...bend(tip, [first[0] - 0.028, 0.5], first, 6), ...edge.slice(1)]; // the tip goes on behind the edge
-  const inner = sharp.map(([x, z], k) => {
-    const [before, after] = [sharp[Math.max(k - 1, 0)], sharp[Math.min(k + 1, sharp.length - 1)]];
+/** Points at a share of the height of the blade behind its edge. */
+function behind(edge, share) {
+  return edge.map(([x, z], k) => {
+    const [before, after] = [edge[Math.max(k - 1, 0)], edge[Math.min(k + 1, edge.length - 1)]];
     const [dx, dz] = [after[0] - before[0], after[1] - before[1]];
-    const width = GROUND * Math.min(1, 0.15 + k / 6) / Math.hypot(dx, dz);
-    return [x - width * dz, z + width * dx];
+    const t = Math.min(k / (TAPER * (edge.length - 1)), 1);
+    const height = (share * (POINT + (NARROW - POINT) * t * (2 - t))) / Math.hypot(dx, dz);
+    return [x - height * dz, z + height * dx];
   });
-  const lower = onHandle(0.42, -0.125);
-  const upper = onHandle(0.42, 0.125);
-  const back = [...bend(heel, [heel[0] + 0.02, 0.56], lower, 8), ...bend(upper, onHandle(-0.05, 0.13), [-0.2, 0.5], 14), ...bend([-0.2, 0.5], [-0.38, 0.52], tip, 8)];
-  const flat = plate([...inner, heel, ...back.slice(0, 8), upper, ...back.slice(8)], length, THICK);
+}
+
+/** The blade of a scalpel by the colours of its parts: flat, ground and edge. */
+export function bladeParts(length) {
+  const edge = cuttingEdge(1);
+  const [inner, spine] = [behind(edge, GROUND), behind(edge, 1)];
+  const [heel, back] = [edge.at(-1), spine.at(-1)];
+  const [lower, upper] = [onHandle(0.3, -0.06), onHandle(0.3, 0.06)];
+  const tang = [...bend(heel, [heel[0] + 0.05, heel[1] + 0.2], lower), upper, ...bend(upper, [back[0] + 0.05, back[1] + 0.24], back)];
   const line = new three.CatmullRomCurve3(edge.map(([x, z]) => new three.Vector3(x * length, 0, z * length)));
-  const slim = [[0.3, 0.095], [0.55, 0.08], [0.85, 0.11], [1.7, 0.105], [HANDLE - 0.45, 0.13], [HANDLE - 0.08, 0.115], [HANDLE, 0.055]];
-  const outline = [...slim.map(([along, aside]) => onHandle(along, aside)), ...slim.toReversed().map(([along, aside]) => onHandle(along, -aside))];
-  const grips = Array.from({ length: 9 }, (_, k) => ridge(0.9 + 0.08 * k, length));
   return {
-    flat: [flat],
-    ground: [groundFaces(sharp, inner, length)],
-    edge: [new three.TubeGeometry(line, 2 * EDGE_PARTS, 0.022 * length, 8)],
-    handle: [plate(outline, length, 0.13, 0.025)],
-    grip: grips,
+    flat: [plate([...inner, heel, ...tang, ...spine.toReversed().slice(1)], length, THICK)],
+    ground: [groundFaces(edge, inner, length)],
+    edge: [new three.TubeGeometry(line, 2 * EDGE_PARTS, 0.013 * length, 8)],
   };
 }
 
-/** A ridge around the handle, at a way along it. */
-function ridge(along, length) {
-  const [x, z] = onHandle(along, 0);
-  const made = new three.BoxGeometry(0.03 * length, 0.15 * length, 0.245 * length);
-  return made.rotateY(-LEAN).translate(x * length, 0, z * length);
+/** The handle along x, from its neck on, by the colours of its parts. */
+export function handleParts(length) {
+  const slim = [[0.14, 0.075], [0.34, 0.07], [0.6, 0.1], [1.2, 0.095], [HANDLE - 0.45, 0.115], [HANDLE - 0.08, 0.1], [HANDLE, 0.05]];
+  const outline = [...slim, ...slim.toReversed().map(([along, aside]) => [along, -aside])];
+  const grips = Array.from({ length: 8 }, (_, k) => {
+    return new three.BoxGeometry(0.026 * length, 0.13 * length, 0.21 * length).translate((0.64 + 0.07 * k) * length, 0, 0);
+  });
+  return { handle: [plate(outline, length, 0.115, 0.022)], grip: grips };
+}
+
+/** Put a handle where the blade of a length ends. */
+export function placeHandle(group, length) {
+  group.position.set(NECK[0] * length, 0, NECK[1] * length);
+  group.rotation.y = -LEAN;
 }
 
 /** An arrow along x that ends at 1, of a unit length and thickness. */

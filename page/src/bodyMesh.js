@@ -9,6 +9,7 @@ const MAX_NEIGHBOURS = 12; // triangles around a vertex that contribute to its n
 const TARGET_TRIANGLES = 60_000; // after refinement of a coarse surface
 const TARGET_TRIANGLES_IN_SOFTWARE = 16_000;
 const MAX_SUBDIVISIONS = 5; // of an edge
+const MIN_FACING = 0.6; // cosine of a normal to that of the edge of an image, at a face that it cuts off
 const CULLING_COSINE = 0.35; // beyond which a curved patch is hidden
 
 export class BodyMesh {
@@ -50,8 +51,8 @@ export class BodyMesh {
     const shape = new three.BufferGeometry();
     const changing = (array, width) => new three.BufferAttribute(array, width).setUsage(three.DynamicDrawUsage);
     this.place = changing(this.memory, 3);
-    this.scalar = changing(new Float32Array(2 * WIDTH * this.rows), 2); // scalar, and whether the vertex is fixed
-    this.fixed.forEach((fixed, k) => (this.scalar.array[2 * k + 1] = fixed));
+    this.scalar = changing(new Float32Array(3 * WIDTH * this.rows), 3); // scalar, and whether the vertex is fixed, and cut off
+    this.fixed.forEach((fixed, k) => (this.scalar.array[3 * k + 1] = fixed));
     shape.setAttribute("position", this.place);
     shape.setAttribute("scalar", this.scalar);
     shape.setAttribute("rest", new three.BufferAttribute(this.rest, 3));
@@ -114,7 +115,7 @@ export class BodyMesh {
     const { positions, rests, scalars } = this.material.uniforms;
     positions.value = this.texture;
     rests.value = this.makeVectors(rest);
-    this.values = scalars.value = this.makeTexture(this.scalar.array, WIDTH, three.RGFormat);
+    this.values = scalars.value = this.makeVectors(this.scalar.array);
     this.mesh.geometry = shape;
   }
 
@@ -187,11 +188,20 @@ export class BodyMesh {
   update({ positions, scalar }) {
     this.memory.set(positions);
     if (scalar) {
-      for (let k = 0; k < this.count; k++) this.scalar.array[2 * k] = scalar[k];
+      for (let k = 0; k < this.count; k++) this.scalar.array[3 * k] = scalar[k];
       this.scalar.needsUpdate = true;
       if (this.values) this.values.needsUpdate = true;
     }
     this.refresh();
+  }
+
+  /** Hatch the faces that lie in planes [point, normal inwards], at most a slack [m] away; returns whether there are some. */
+  hatchEdges(planes, slack) {
+    const edges = verticesInPlanes(this.rest, this.atRest.normals, planes, slack);
+    edges.forEach((edge, k) => (this.scalar.array[3 * k + 2] = edge));
+    this.scalar.needsUpdate = true;
+    if (this.values) this.values.needsUpdate = true;
+    return edges.includes(1);
   }
 
   refresh() {
@@ -270,6 +280,19 @@ function sortAlongCurve({ positions, triangles }) {
   const result = new Uint32Array(triangles.length);
   order.forEach((from, to) => result.set(triangles.subarray(3 * from, 3 * from + 3), 3 * to));
   return result;
+}
+
+/** Whether each vertex lies in one of some planes [point, normal inwards], at most a slack [m] away, and faces outwards there. */
+export function verticesInPlanes(rest, normals, planes, slack) {
+  const found = new Uint8Array(rest.length / 3);
+  const dot = (a, k, b) => a[k] * b[0] + a[k + 1] * b[1] + a[k + 2] * b[2];
+  for (const [point, normal] of planes) {
+    const height = dot(point, 0, normal);
+    found.forEach((_, k) => {
+      if (Math.abs(dot(rest, 3 * k, normal) - height) < slack && dot(normals, 3 * k, normal) < -MIN_FACING) found[k] = 1;
+    });
+  }
+  return found;
 }
 
 /** Subdivide a triangle: points (u, v, 0) and the triangles between them. */

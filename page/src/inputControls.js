@@ -276,6 +276,7 @@ export class InputControls {
       ghost.stroke(1, 0);
       const { position, quaternion } = Press.initialPose(this.scene, tool, hit, this.roll);
       ghost.at(position.toArray(), quaternion);
+      ghost.keepInView(this.scene.camera);
       ghost.group.visible = true;
     }
   }

@@ -18,6 +18,7 @@ import { Refinement } from "./refinement.js";
 import { Scene } from "./scene.js";
 import { Surroundings, SurroundingsPanel, shapeName } from "./surroundings.js";
 import { theme } from "./theme.js";
+import { ToolHints } from "./toolHints.js";
 import { initialTools, offerDepth } from "./toolSettings.js";
 import { placeMessages } from "./titleRoom.js";
 import { showTools } from "./toolView.js";
@@ -31,6 +32,8 @@ const preparation = new Preparation(byId);
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
+const HOVER_INTERVAL = 50; // [ms] between two looks for a shape under the mouse
+const UNDO_TIME = 3000; // [ms] after an undo within which a body that starts from rest does so because of it
 const MIN_FORCE = 2e-3; // [N] of a tool that touches
 
 const session = { hello: null, space: "", status: {}, scalar: "displacement", state: null, next: null, nextTools: null, waiting: null,
@@ -61,6 +64,8 @@ const page = {
     return shape !== undefined;
   },
   pressChanged(press) {
+    if (press) lastKind = press.tool.kind;
+    else hints.use(lastKind);
     if (press && session.status.state === "paused") statusLine.showToast("The session is paused: resume it to move the body.");
     if (!press && !hands.held.length) statusLine.announce("Released");
   },
@@ -80,8 +85,9 @@ const hands = new Hands({
   changed: () => showStatus(),
 });
 
-let hasCut = false; // whether the scalpel was chosen before
-let scene, controls, handList, plots, panel, transport, refinement, surroundings, choice, connection;
+let lastKind = ""; // of the last press
+let undone = null; // after a cut was taken back: the time of the body then [s], and the page's [ms]
+let scene, controls, hints, handList, plots, panel, transport, refinement, surroundings, choice, connection;
 
 function start() {
   try {
@@ -95,13 +101,16 @@ function start() {
   plots = new Plots(byId);
   panel = new Panel(byId, { send, choose, change, scalar });
   transport = new Transport(byId, (message) => {
-    if (message.action === "reset") for (const press of [...controls.presses]) controls.release(press);
+    const ends = { reset: () => true, undo: ({ cuts }) => cuts }[message.action] ?? (() => false);
+    for (const press of controls.presses.filter(ends)) controls.release(press);
+    if (message.action === "undo") undone = { time: session.state?.time ?? 0, at: performance.now() };
     send(message);
     if (message.action === "reset") hands.reset();
   });
   refinement = new Refinement(byId, send);
   surroundings = new SurroundingsPanel(byId, scene.fine, (shown) => scene.showSurroundings(shown), mark);
   choice = new LabelChoice(byId, send);
+  hints = new ToolHints(byId("hint"), byId("sizes"));
   controls = new InputControls(scene, page, hands);
   handList = new HandList(byId, hands, scene, {
     hold: () => controls.hold(),
@@ -183,6 +192,7 @@ const answers = {
   },
   status(message) {
     const before = driver();
+    if (undone && message.strokes < session.status.strokes) statusLine.announce("The last cut is undone.");
     Object.assign(session.status, message);
     hands.adopt(message.all_tools ?? [message.tool]);
     if (message.devices) hands.devices = new Map(message.devices);
@@ -225,9 +235,13 @@ function frame(received) {
   else if (received.kind === 5 || received.kind === 6) scene.setBody(received);
   else if (received.kind === 7) {
     scene.setSurroundings(new Surroundings(received), surroundings.asked);
-    surroundings.offer(received.names);
+    surroundings.offer(received);
+    scene.setEdges(received.edges, session.hello?.spacing ?? 0);
+    byId("edge-key").hidden = !scene.edges.shown;
   } else if (received.kind === 1) {
+    scene.edges.spacing = session.hello.spacing;
     scene.setBody(received);
+    byId("edge-key").hidden = !scene.edges.shown;
     byId("fixed-key").hidden = !received.fixed.includes(1);
     if (driver()) hands.start();
     scene.overlay.lines.visible = byId("overlay").checked && session.hello.overlay;
@@ -286,6 +300,7 @@ function showStatus() {
   transport.status(status, driver());
   refinement.status(driver());
   handList.show(driver());
+  hints.show(driver() && session.state ? session.tool?.kind : null);
   scene.dirty = true;
 }
 
@@ -295,9 +310,10 @@ function choose(kind) {
   if (kind === session.tool.kind || !driver()) return;
   controls.putAside();
   hands.choose(kind);
-  if (kind === "scalpel" && !hasCut) statusLine.showToast("Hold on the body and draw: the blade cuts along the stroke.");
-  hasCut ||= kind === "scalpel";
 }
+
+/** Whether a key takes the last cut back. */
+const isUndo = ({ key: letter, ctrlKey, metaKey, altKey, shiftKey }) => letter.toLowerCase() === "z" && (ctrlKey || metaKey) && !altKey && !shiftKey;
 
 /** Mark a shape around the body; none for -1. */
 function mark(shape) {
@@ -335,6 +351,10 @@ function scalar(name) {
 }
 
 function key(event) {
+  if (isUndo(event) && !byId("help").open && byId("choice").hidden) {
+    transport.undo();
+    return event.preventDefault();
+  }
   if (byId("help").open || !byId("choice").hidden || event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.target.id === "surroundings-names" && event.key !== "Escape") return; // letters find a name
   const field = event.target.matches?.("input, select, button");
@@ -360,6 +380,7 @@ function renderFrame(now, seconds) {
     showTools(scene, hands, controls.presses, panel.beyond);
     handList.place();
     showAir(session.state, seconds);
+    nameUnderMouse(now);
   }
   if (scene.draw(seconds)) updateScaleBar(byId, scene.metresPerPixel(), session.space, scene.rightward());
   updateReadings(now);
@@ -373,7 +394,14 @@ function renderFrame(now, seconds) {
 }
 
 function showState(state, now, seconds) {
+  const first = session.state === null;
   session.state = state;
+  if (first) hints.show(driver() ? session.tool?.kind : null);
+  if (undone && state.time < undone.time) {
+    statusLine.showToast("The wound was too wide to be closed at once: the body starts from rest.");
+    hands.reset();
+    undone = null;
+  } else if (undone && now - undone.at > UNDO_TIME) undone = null;
   scene.body.update(state);
   scene.body.setColourRange(session.scalar === "none" ? null : legend.updateRange(state, seconds));
   scene.dirty = true;
@@ -424,6 +452,25 @@ function announceForce(state, now) {
   const words = value ? `${lead} ${value} newtons${range && `, ${range}`}` : note;
   const depth = pressDepth();
   statusLine.announce([depth === null ? "" : `${depthText(Math.max(depth, 0))} millimetres`, words].filter(Boolean).join(", "));
+}
+
+/** Name the shape next to the body at which a mouse points. */
+let lastName = { at: 0, key: "" };
+function nameUnderMouse(now) {
+  const { hover, presses, pointers } = controls;
+  const free = hover && scene.surroundingsShown && presses.length === 0 && pointers.size === 0;
+  const key = free ? [...hover, ...scene.camera.position.toArray()].join() : "";
+  if (key === lastName.key || (free && now - lastName.at < HOVER_INTERVAL)) return;
+  lastName = { at: now, key };
+  const [shape] = free && !scene.pick(...hover) ? scene.shapesUnder(...hover, Infinity) : [];
+  scene.hoverShape(shape ?? -1);
+  const label = byId("hover-name");
+  label.hidden = shape === undefined;
+  if (label.hidden) return;
+  label.textContent = shapeName(scene.surroundings.names[shape]);
+  const half = label.offsetWidth / 2 + 8;
+  label.style.left = `${Math.max(Math.min((0.5 + 0.5 * hover[0]) * scene.width, scene.width - half), half)}px`;
+  label.style.top = `${Math.max((0.5 - 0.5 * hover[1]) * scene.height, label.offsetHeight + 20)}px`;
 }
 
 /** Say that a tool touches nothing, or is inside the body, next to the tool. */

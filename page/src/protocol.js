@@ -57,7 +57,7 @@ function cutLine(buffer, start, count) {
   return { corners: new Uint32Array(buffer, start, 3 * count), ends: new Float32Array(buffer, start + 12 * count, 4 * count) };
 }
 
-/** Shapes around a body; `count` of them. */
+/** Shapes around a body, `count` of them, with names and kinds, and the edges of its image: planes of a point and a normal. */
 function surroundings(buffer, count, vertices, triangles) {
   const start = HEADER_BYTES + 12 * vertices;
   const sizes = start + 12 * triangles;
@@ -66,7 +66,7 @@ function surroundings(buffer, count, vertices, triangles) {
     positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices),
     triangles: new Uint32Array(buffer, start, 3 * triangles),
     sizes: new Uint32Array(buffer, sizes, count),
-    names: JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, sizes + 4 * count))),
+    ...JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, sizes + 4 * count))),
   };
 }
 

@@ -23,6 +23,8 @@ function isNear(first, second) {
   return apart < 0.2 * first.radius;
 }
 
+const EDGE_SLACK = 0.3; // of the spacing, and the share of the size, from a face to the edge of the image that cuts it
+const EDGE_SHARE = 0.006;
 const PICK_SLACK = 14; // [px] around the point of a tool that is held, at which a click takes it
 const raycaster = new three.Raycaster();
 
@@ -45,6 +47,7 @@ export class Scene {
     const groups = [...this.tools, ...this.arrows].map(({ group }) => group);
     this.graph.add(this.shadow.plane, ...groups, this.ghost.group, this.marker.mesh);
     this.body = this.overlay = this.surroundings = null;
+    this.edges = { planes: [], spacing: 0, shown: false }; // at which the image cuts the body off
     this.dirty = true;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     this.resize();
@@ -67,11 +70,24 @@ export class Scene {
     this.body = new BodyMesh(this.renderer, geometry, { fine: this.fine });
     this.overlay = new Overlay(this.body, this.accent ?? "#0b7285");
     this.graph.add(this.body.mesh, this.overlay.lines);
+    this.hatchEdges();
     this.shadow.fit(this.body);
     this.body.preview = geometry.kind === 5;
     const grows = geometry.kind === 6 && before; // a cut: the view stays, as a blade is led in it
     if (!same && !grows) this.orbitCamera.fitSphere(this.body.sphere, previewed || (before && isNear(before, this.body.sphere)));
     this.dirty = true;
+  }
+
+  /** Hatch the faces of the body in some planes, whose nodes have a spacing [m]. */
+  setEdges(planes, spacing) {
+    Object.assign(this.edges, { planes, spacing });
+    this.hatchEdges();
+    this.dirty = true;
+  }
+
+  hatchEdges() {
+    const { planes, spacing } = this.edges;
+    this.edges.shown = planes.length > 0 && this.body.hatchEdges(planes, Math.max(EDGE_SLACK * spacing, EDGE_SHARE * this.size));
   }
 
   /** Replace the shapes around the body; drawn only where they are shown. */
@@ -95,6 +111,13 @@ export class Scene {
   /** Mark a shape around the body; none for -1. */
   markShape(shape) {
     this.surroundings.mark(shape);
+    this.dirty = true;
+  }
+
+  /** Brighten a shape that a mouse points at; none for -1. */
+  hoverShape(shape) {
+    if (!this.surroundings || this.surroundings.hovered === shape) return;
+    this.surroundings.hover(shape);
     this.dirty = true;
   }
 

@@ -60,11 +60,15 @@ const SHADE = `
     return srgb(clamp(colour, 0.0, 1.0));
   }`;
 
-/** Darker stripes across the screen where the surface is fixed. */
+/** Darker stripes across the screen where the surface is fixed, and lighter ones, the other way, where the image cuts it off. */
 const HATCH = `
   float hatch(float support) {
     if (support < 0.4) return 1.0;
     return 1.0 - 0.16 * smoothstep(0.4, 0.6, support) * step(0.6, fract((gl_FragCoord.x + gl_FragCoord.y) / 9.0));
+  }
+  vec3 hatched(vec3 colour, vec2 marks) { // whether it is fixed, and cut off
+    float line = smoothstep(0.45, 0.55, marks.y) * step(0.72, fract((gl_FragCoord.x - gl_FragCoord.y) / 9.0));
+    return mix(hatch(marks.x) * colour, vec3(0.93, 0.90, 0.86), 0.55 * line);
   }`;
 
 /** A cubic patch over a triangle with given normals at its corners (Vlachos et al. 2001). */
@@ -93,7 +97,7 @@ export const bodyShader = {
     #else
       out vec3 eye, smoothed, place; out float value;
     #endif
-    out float support;
+    out vec2 marks;
     vec3 normalOf(int k) { return texelFetch(normals, ivec2(k % WIDTH, k / WIDTH), 0).xyz; }
     #ifdef REFINED
       // a curved patch over each triangle; position: u, v
@@ -102,7 +106,7 @@ export const bodyShader = {
       vec3 three(sampler2D numbers, int k) { return texelFetch(numbers, ivec2(k % WIDTH, k / WIDTH), 0).rgb; }
       ${PATCH}
     #else
-      in vec2 scalar; in vec3 rest; // scalar, and 1 where the surface is fixed
+      in vec3 scalar, rest; // scalar, and 1 where the surface is fixed, and where the image cuts it off
     #endif
     void main() {
       #ifdef REFINED
@@ -111,15 +115,15 @@ export const bodyShader = {
         vec3 na = normalOf(k.x), nb = normalOf(k.y), nc = normalOf(k.z);
         vec3 a = three(positions, k.x), b = three(positions, k.y), c = three(positions, k.z);
         vec3 here = patched(w, a, b, c, na, nb, nc);
-        vec2 number = vec2(0.0);
-        for (int j = 0; j < 3; j++) number += w[j] * texelFetch(scalars, ivec2(k[j] % WIDTH, k[j] / WIDTH), 0).rg;
+        vec3 number = vec3(0.0);
+        for (int j = 0; j < 3; j++) number += w[j] * texelFetch(scalars, ivec2(k[j] % WIDTH, k[j] / WIDTH), 0).rgb;
         vec3 mean = w.x * na + w.y * nb + w.z * nc;
         #ifndef LIT
           place = w.x * three(rests, k.x) + w.y * three(rests, k.y) + w.z * three(rests, k.z);
         #endif
       #else
         vec3 here = position;
-        vec2 number = scalar;
+        vec3 number = scalar;
         #ifdef SMOOTH
           vec3 mean = normalOf(gl_VertexID);
         #else
@@ -140,18 +144,18 @@ export const bodyShader = {
         eye = seen.xyz; value = number.x;
         smoothed = normalMatrix * mean;
       #endif
-      support = number.y;
+      marks = number.yz;
       gl_Position = projectionMatrix * seen;
     }`,
   fragment: `
     precision highp float;
     uniform float veil;
-    in float support;
+    in vec2 marks;
     out vec4 result;
     ${HATCH}
     #ifdef LIT
       in vec3 colour;
-      void main() { result = vec4(hatch(support) * colour, 1.0) * veil; }
+      void main() { result = vec4(hatched(colour, marks), 1.0) * veil; }
     #else
       uniform float size;
       in vec3 eye, smoothed, place; in float value;
@@ -185,7 +189,7 @@ export const bodyShader = {
           wet = 0.6 + 0.7 * noise(14.0 * at + 7.0);
           n = uneven(n, size * (0.0011 * noise(38.0 * at) + 0.0028 * noise(16.0 * at)));
         #endif
-        result = vec4(hatch(support) * shade(n, eye, value, support, mottled, wet), 1.0) * veil;
+        result = vec4(hatched(shade(n, eye, value, marks.x, mottled, wet), marks), 1.0) * veil;
       }
     #endif`,
 };
@@ -254,31 +258,38 @@ export const toolShader = {
     }`,
 };
 
-/** Shapes around a body: clear where they face the camera, dense at their outlines; one is marked. */
+/** Shapes around a body: clear where they face the camera, dense at their outlines; one is marked. They end softly at a panel. */
 export const surroundingsShader = {
   vertex: `
-    in float number;
-    uniform float marked; uniform vec3 middle; uniform float radius; // of the body
+    in vec2 number; // of the shape, and of its kind
+    uniform float marked, hovered; uniform vec3 middle; uniform float radius; // of the body
+    uniform vec3 colours[5];
     out vec3 eye, n; out float near;
-    flat out float chosen;
+    flat out vec3 colour; flat out vec2 chosen; // whether it is marked, and hovered
     void main() {
       vec4 seen = modelViewMatrix * vec4(position, 1.0);
       eye = seen.xyz; n = normalMatrix * normal;
       near = mix(1.0, 0.3, smoothstep(1.0, 2.2, distance(position, middle) / radius));
-      chosen = 1.0 - step(0.5, abs(number - marked));
+      colour = colours[int(number.y + 0.5)];
+      chosen = 1.0 - step(0.5, abs(vec2(number.x) - vec2(marked, hovered)));
       gl_Position = projectionMatrix * seen;
     }`,
   fragment: `
     precision highp float;
-    uniform vec3 colour, accent;
+    const float SOFT = 0.12; // share of the window, at its right and lower side, over which shapes fade
+    uniform vec3 accent; uniform vec2 window; // [px]
     in vec3 eye, n; in float near;
-    flat in float chosen;
+    flat in vec3 colour; flat in vec2 chosen;
     out vec4 result;
     void main() {
       float facing = clamp(dot(normalize(n), normalize(-eye)), 0.0, 1.0);
       float rim = pow(1.0 - facing, 2.5);
-      float alpha = mix(near * (0.035 + 0.36 * rim), 0.30 + 0.5 * rim, chosen);
-      result = vec4(mix(colour, accent, chosen) * alpha, alpha);
+      float alpha = near * (0.045 + 0.40 * rim);
+      alpha = mix(alpha, 0.16 + 0.5 * rim, chosen.y);
+      alpha = mix(alpha, 0.30 + 0.5 * rim, chosen.x);
+      vec2 at = gl_FragCoord.xy / window;
+      alpha *= smoothstep(0.0, SOFT, 1.0 - at.x) * smoothstep(0.0, SOFT, at.y);
+      result = vec4(mix(colour, accent, chosen.x) * alpha, alpha);
     }`,
 };
 

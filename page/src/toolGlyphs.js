@@ -1,9 +1,11 @@
 // Glyphs of the tool, the force on it, and the point under the pointer.
 import * as three from "three";
-import { scalpelParts, strokeArrow } from "./bladeGlyph.js";
+import { HANDLE, bladeParts, handleParts, placeHandle, strokeArrow } from "./bladeGlyph.js";
 import { toolShader } from "./shaders.js";
 
 const Z = new three.Vector3(0, 0, 1);
+const HANDLE_SHARES = [1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3]; // of the length of a handle, the first that is in the view
+const VIEW_SHARE = 0.95; // of the view, in which a handle ends
 
 function material(colour, opacity = 1, more = {}) {
   const { r, g, b } = new three.Color().setStyle(colour, three.LinearSRGBColorSpace); // components as given
@@ -86,21 +88,32 @@ export class ToolGlyph {
 
   /** A blade with its handle, and the arrow of its stroke. */
   scalpel(length) {
-    for (const [name, shapes] of Object.entries(scalpelParts(length))) {
-      this.group.add(...shapes.map((shape) => new three.Mesh(shape, this.materials[name])));
-    }
+    const parts = (shapes) => Object.entries(shapes).flatMap(([name, all]) => all.map((shape) => new three.Mesh(shape, this.materials[name])));
     this.way = new three.Group().add(...strokeArrow().map((shape) => new three.Mesh(shape, this.materials.edge)));
-    this.way.scale.setScalar(0.62 * length);
+    this.way.scale.setScalar(0.55 * length);
+    this.handle = new three.Group().add(...parts(handleParts(length)));
+    placeHandle(this.handle, length);
     this.length = length;
-    this.group.add(this.way);
+    this.turned = new three.Group().add(...parts(bladeParts(length)), this.handle, this.way);
+    this.group.add(this.turned);
     this.stroke(1, 0);
   }
 
-  /** Show that a scalpel cuts towards +x or -x of its frame, at a height [m] above the deepest point of its edge. */
+  /** Shorten the handle of a scalpel, where it would leave the view of a camera. */
+  keepInView(camera) {
+    if (!this.way) return;
+    this.handle.scale.x = 1;
+    this.group.updateWorldMatrix(true, true);
+    const ends = HANDLE_SHARES.map((share) => this.handle.localToWorld(new three.Vector3(share * HANDLE * this.length, 0, 0)).project(camera));
+    const inside = ends.findIndex(({ x, y, z }) => Math.max(Math.abs(x), Math.abs(y)) < VIEW_SHARE && z < 1);
+    this.handle.scale.x = HANDLE_SHARES.at(inside);
+  }
+
+  /** Lead a scalpel towards +x or -x of its frame, with an arrow at a height [m] above the deepest point of its edge. */
   stroke(sign, height) {
     if (!this.way) return;
-    this.way.rotation.z = sign < 0 ? Math.PI : 0;
-    this.way.position.set(sign * 0.6 * this.length, 0, height + 0.1 * this.length);
+    this.turned.rotation.z = sign < 0 ? Math.PI : 0; // its edge is the same on both sides
+    this.way.position.set(0.68 * this.length, 0, height + 0.08 * this.length);
   }
 
   jaw(side, unit) {

@@ -25,13 +25,14 @@ function showTool(scene, { index, tool, state: now, press, former, inHand }, bey
   mark.at(position, quaternion);
   const blade = press ?? former;
   mark.stroke(blade?.way ?? 1, blade ? Math.max(blade.depth - blade.approach, 0) : 0.35 * (tool.length ?? 0));
+  mark.keepInView(scene.camera);
   const ball = tool.kind === "sphere" || tool.kind === "capsule" ? tool.radius : 0;
   if (press && !mine && inHand) showPointer(scene, press, position);
   if (now.kind !== "none" && !beyond) arrows[index].show(position, now.force, now.newtons, size, ball, tool.kind === "grasp");
 }
 
 /** Draw the pose of the pointer where a soft coupling separates it from the tool. */
-function showPointer({ ghost, size }, press, position) {
+function showPointer({ ghost, size, camera }, press, position) {
   const { tool } = press;
   const at = press.position;
   ghost.group.visible = tool.kind !== "grasp" && at.distanceTo(new Vector3().fromArray(position)) > 0.004 * size;
@@ -40,4 +41,5 @@ function showPointer({ ghost, size }, press, position) {
   ghost.fade(0.5);
   ghost.stroke(press.way, Math.max(press.depth - press.approach, 0));
   ghost.at(at.toArray(), press.quaternion);
+  ghost.keepInView(camera);
 }

@@ -5,6 +5,7 @@ export class Transport {
     Object.assign(this, { byId, send, now: {}, canControl: false, held: false });
     const press = (id, act) => (byId(id).onclick = act);
     press("reset", () => this.reset());
+    press("undo", () => this.undo());
     press("pause", () => this.pause());
     press("record", () => send({ type: "record", action: this.now.recording ? "stop" : "start" }));
     press("play", () => send({ type: "replay", action: this.now.state === "running" ? "pause" : "play" }));
@@ -15,12 +16,13 @@ export class Transport {
     addEventListener("pointerup", () => (this.held = false));
   }
 
-  offer({ mode, duration, returns }) {
+  offer({ mode, duration, returns, tools }) {
     this.replay = mode === "replay";
     this.duration = duration ?? 0;
     this.byId("transport").hidden = this.replay;
     this.byId("replay").hidden = !this.replay;
     this.byId("live").hidden = !returns;
+    this.byId("undo").hidden = !tools.includes("scalpel");
     if (this.replay) Object.assign(this.byId("time"), { max: this.duration, step: this.duration / 1000 || 0.001 });
   }
 
@@ -29,6 +31,7 @@ export class Transport {
     this.canControl = driver;
     const { byId } = this;
     for (const id of ["reset", "pause", "record", "speed"]) byId(id).disabled = !driver;
+    byId("undo").disabled = !this.canUndo;
     const paused = status.state !== "running";
     byId("pause").setAttribute("aria-pressed", paused);
     byId("pause-text").textContent = paused ? "Resume" : "Pause";
@@ -41,6 +44,15 @@ export class Transport {
 
   reset() {
     if (this.canControl) this.send({ type: "control", action: "reset" });
+  }
+
+  get canUndo() {
+    return this.canControl && this.now.strokes > 0;
+  }
+
+  /** Take the last cut back. */
+  undo() {
+    if (this.canUndo) this.send({ type: "control", action: "undo" });
   }
 
   pause() {

@@ -276,14 +276,21 @@ class Engine(Described):
             if self._runner.state == RUNNING:
                 self._runner.stop(PAUSED)
 
-    def reset(self) -> None:
-        """Set body and tools to rest and time to 0; a running engine continues, a diverged one becomes stopped."""
+    def reset(self, keep_cut: bool = False) -> None:
+        """Set body and tools to rest and time to 0; a running engine continues, a diverged one becomes stopped.
+
+        Parameters
+        ----------
+        keep_cut : bool
+            The body stays cut as it is; by default it is whole again.
+        """
         with self._cutter_lock(), self._lock:
             running = self._runner.state == RUNNING
             if running:
                 self._runner.stop(PAUSED)
             if self._cutter is not None:
-                self._cutter.restore()
+                if not keep_cut:
+                    self._cutter.restore()
                 self.swap_data(self._cutter.update(self._rest))
             self._to_rest()
             if self._runner.state == DIVERGED:

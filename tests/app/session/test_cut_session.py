@@ -189,6 +189,31 @@ def test_the_size_of_the_cut_stays_without_a_scalpel_and_strokes_add(cut_session
     assert added["cut_depth"] >= before["cut_depth"] - 1e-6
 
 
+def test_undo_takes_the_strokes_back_one_by_one_and_the_body_goes_on(cut_session):
+    session, cutter, _, _, _ = cut_session
+    assert session.status()["strokes"] == 2
+    assert session.tools[0].active.kind == "scalpel"
+    areas = [session.statistics()["cut_area"]]
+    time_before = session.engine.read().time
+    send(session, type="control", action="undo")
+    assert session.tools[0].active.kind == "none"
+    assert session.tools[0].selected.kind == "scalpel"  # the next pose puts it down again
+    assert session.status()["strokes"] == 1
+    areas.append(drawn(session).cut_measures.area)
+    assert 1e-4 < areas[1] < areas[0] - 1e-6
+    session.undo()
+    assert session.status()["strokes"] == 0
+    assert cutter.model is cutter.whole_model
+    assert session.shown_surface is session.surface
+    with pytest.raises(pt.InputError, match="undo must follow a stroke"):
+        session.undo()
+    assert session.engine.state == "running"
+    assert session.engine.read().time > time_before  # never at rest meanwhile
+    send(session, type="pose", position=[0.025, 0.02, 0.045], sequence=1)
+    lower(session, 1e-5)
+    assert session.status()["strokes"] == 1
+
+
 def test_a_reset_restores_the_whole_body(cut_session):
     session, cutter, _, _, _ = cut_session
     session.reset()
@@ -196,8 +221,35 @@ def test_a_reset_restores_the_whole_body(cut_session):
     assert session.shown_surface is session.surface
     assert not any(name.startswith("cut_") for name in session.statistics())
     assert cutter.model is cutter.whole_model
+    assert session.status()["strokes"] == 0
     assert session.engine.state == "running"
     assert not np.any(session.engine.read().force)
+
+
+@pytest.mark.parametrize("gape", [0.003, 0.026])
+def test_undo_goes_on_from_a_small_wound_and_starts_from_rest_at_a_wide_one(cut_session, gape):
+    """A stroke next to forceps that pull by a way [m], at which the wound opens."""
+    session, cutter, _, _, _ = cut_session
+    session.reset()
+    place, held = [0.025, 0.008, SIZE[2]], [0.025, 0.008 - gape, SIZE[2] + 0.3 * gape]
+    send(session, type="tool", kind="grasp", radius=0.008, position=place, index=1)
+    for share in np.linspace(0.0, 1.0, 50):
+        send(session, type="pose", position=((1 - share) * np.array(place) + share * np.array(held)).tolist(), index=1)
+        time.sleep(0.02)
+    send(session, type="tool", kind="scalpel", length=0.04, toughness=1.0, position=[0.025, 0.02, 0.05])
+    lower(session, 3e-4, depth=0.014)
+    session.release(0)
+    time.sleep(1.0)
+    wide = np.linalg.norm(session.engine.read().coordinates.reshape(-1, 3), axis=1).max()
+    goes_on = session.undo()
+    assert goes_on == (gape < 0.01)
+    assert (session.tools[1].active.kind == "grasp") == goes_on
+    assert cutter.model is cutter.whole_model
+    time.sleep(1.0)
+    assert session.engine.state == "running"
+    moved = np.linalg.norm(session.engine.read().coordinates.reshape(-1, 3), axis=1).max()
+    assert moved < 1.2 * wide if goes_on else moved < 1e-5
+    assert session.statistics()["energy_gained"] < 1e-6
 
 
 def test_the_engine_of_a_body_with_planes_of_symmetry_refuses_a_blade():

@@ -245,6 +245,32 @@ def test_a_blade_stands_on_the_surface_and_turns_into_its_stroke(opened, synthet
     tab.mouse("Released", *end)
 
 
+def test_the_handle_of_a_scalpel_ends_in_the_view_from_every_side(opened):
+    tab = opened()
+    choose(tab, "scalpel")
+    x, y = middle(tab)
+    place = (
+        "(() => { const { ghost } = palpate.scene, end = ghost.group.position.clone().set(2.1 * ghost.length, 0, 0);"
+    )
+    shares = set()
+    for azimuth in np.arange(0.0, 6.28, 0.8):
+        for zoom in (1.0, 0.4):
+            goal = f"azimuth: {azimuth}, elevation: {0.2 + 0.1 * azimuth}, distance: {zoom} * o.home.distance"
+            tab.evaluate(
+                f"{{ const o = palpate.scene.orbitCamera; o.still = true; Object.assign(o.goal, {{ {goal} }}); }}"
+            )
+            tab.mouse("Moved", x, y - 1, "none")
+            tab.mouse("Moved", x, y, "none")
+            tab.wait("palpate.scene.ghost.group.visible")
+            sleep(0.15)
+            seen = "[...palpate.project(ghost.handle.localToWorld(end).toArray()), ghost.handle.scale.x]"
+            u, v, share = tab.evaluate(f"{place} return {seen}; }})()")
+            width, height = tab.evaluate("[palpate.scene.width, palpate.scene.height]")
+            shares.add(share)
+            assert share == 0.3 or (0 < u < width and 0 < v < height), (azimuth, zoom)
+    assert {1.0} < shares  # whole where there is room, and shorter elsewhere
+
+
 @pytest.mark.parametrize("by", ["key", "wheel"])
 def test_a_tool_is_rolled_by_keys_and_wheel_while_it_hovers_and_presses(opened, synthetic, by):
     tab = opened()

@@ -29,10 +29,12 @@ from palpate.app.session.replay import Replay
 from palpate.app.session.session import Session
 from palpate.app.view.server.label_choice import LabelChoice
 from palpate.app.view.server.preparation import Preparation
+from palpate.realtime.bodies import full_blade
 from palpate.scenes.open_scene import open_scene
 from palpate.surface.labels.inner import InnerLabel
 from palpate.surface.labels.label_map import Segment
 from palpate.surface.labels.listing import LabelRow
+from palpate.surface.labels.surroundings import NO_SURROUNDINGS
 from palpate.surface.surface import Surface
 
 sys.path.append(str(Path(__file__).parent))
@@ -268,6 +270,80 @@ def test_tissue_is_grasped_held_and_cut_and_the_wound_opens_under_tension(browse
         assert tab.evaluate("palpate.statusLine.errors") == []
 
 
+def _press_key(tab, key, code, modifiers=0):
+    """Press a key that moves the focus, or one with Ctrl (2) or Shift (8)."""
+    for kind in ("rawKeyDown", "keyUp"):
+        event = {"type": kind, "key": key, "windowsVirtualKeyCode": code, "modifiers": modifiers}
+        tab.call("Input.dispatchKeyEvent", event)
+
+
+def _tab_to(tab, selector, back=False):
+    """Move the focus by Tab, or Shift and Tab, to an element."""
+    for _ in range(40):
+        _press_key(tab, "Tab", 9, 8 if back else 0)
+        if tab.evaluate(f"document.activeElement.matches('{selector}')"):
+            return
+    raise AssertionError(f"no focus on {selector}")
+
+
+def test_a_cut_is_made_undone_and_made_again_by_keyboard_alone(browser, site_of, soft_block, monkeypatch):
+    soft_block.reset()
+    hint, cut = "document.getElementById('hint').textContent", "document.getElementById('cut').textContent"
+    with opening(browser) as open_tab:
+        tab = open_tab(site_of(soft_block).address, (1280, 800))
+        tab.evaluate("localStorage.removeItem('palpate-hints')")
+        tab.call("Page.reload")
+        sleep(1.0)
+        tab.wait("window.palpate?.ready", 60)
+        tab.wait(f"{hint}.startsWith('Hold on the body and drag')")
+        _tab_to(tab, "#kinds button")
+        tab.wait(f"{hint}.startsWith('Arrow keys')")
+        for _ in range(3):
+            tab.key("ArrowRight")
+        tab.wait("palpate.hands.tool.kind === 'scalpel'")
+        tab.wait(f"{hint}.includes('lowers the blade')")
+        tab.evaluate("palpate.hands.change({ toughness: 1 })")
+        _tab_to(tab, "#view", back=True)
+
+        def draw():
+            tab.key("ArrowLeft")
+            tab.key("+")
+            _wait(tab, "palpate.hands.state(0).kind === 'scalpel'")
+            sleep(1.0)
+            for _ in range(12):
+                tab.key("ArrowRight")
+                sleep(0.1)
+            _wait(tab, f"{AREA} > 40")
+            tab.key(" ")
+            _wait(tab, "palpate.hands.state(0).kind === 'none' && palpate.session.status.strokes === 1")
+
+        draw()
+        assert tab.evaluate(hint) == ""  # its use dismisses it
+        _press_key(tab, "z", 90, 2)
+        _wait(tab, f"!{LINE} && {cut} === '' && palpate.session.status.strokes === 0")
+        tab.wait("document.getElementById('spoken').textContent === 'The last cut is undone.'")
+        assert tab.evaluate("document.getElementById('undo').disabled")
+        _wait(tab, "palpate.session.state.state === 'running'")
+        draw()
+        monkeypatch.setattr(full_blade, "MAX_STRETCH", 0.0)  # no wound is closed at once
+        _press_key(tab, "z", 90, 2)
+        _wait(tab, f"!{LINE} && {cut} === '' && palpate.session.status.strokes === 0")
+        tab.wait("palpate.statusLine.shown.some((text) => text.includes('starts from rest'))")
+        assert (
+            tab.evaluate("Math.max(...palpate.scene.body.positions.map((x, k) => x - palpate.scene.body.rest[k]))")
+            < 1e-6
+        )
+        tab.call("Page.reload")
+        sleep(1.0)
+        tab.wait("window.palpate?.ready", 60)
+        tab.key("4")
+        tab.wait("palpate.hands.tool.kind === 'scalpel'")
+        assert tab.evaluate(hint) == ""  # remembered
+        tab.key("3")
+        tab.wait(f"{hint}.includes('grasps')")
+        assert tab.evaluate("palpate.statusLine.errors") == []
+
+
 def _sees_the_cut(tab):
     """Assert that the line of a cut darkens the body in all colours, and that its size is stated without a blade."""
     text = tab.evaluate("document.getElementById('cut').textContent")
@@ -292,6 +368,31 @@ def _shape(name, low, high):
     return Surface(np.asarray(low) + corners * (np.asarray(high) - np.asarray(low)), triangles, name)
 
 
+def test_faces_that_the_image_cuts_off_are_hatched_with_a_line_in_the_legend(browser, site, session):
+    low, high = session.surface.rest.min(axis=0), session.surface.rest.max(axis=0)
+    key = "document.getElementById('edge-key')"
+    with opening(browser) as open_tab:
+        tab = open_tab(site.address)
+        tab.evaluate("{ palpate.scene.orbitCamera.goal.elevation = 1.2; }")
+        tab.evaluate("document.querySelector('#scalars [value=none]').click()")
+        sleep(1.5)
+        assert tab.evaluate(f"{key}.hidden")
+        plain = picture(tab)
+        planes = np.array([[[*(0.5 * (low + high))[:2], high[2]], [0.0, 0.0, -1.0]]])  # at the top
+        site.loop.call_soon_threadsafe(site.server.surround, NO_SURROUNDINGS._replace(edges=planes))
+        tab.wait(f"!{key}.hidden")
+        assert tab.evaluate("document.getElementById('surroundings').hidden")  # nothing is around the body
+        marks = "(_, k) => [palpate.scene.body.rest[3 * k + 2], palpate.scene.body.scalar.array[3 * k + 2]]"
+        heights, flags = np.array(tab.evaluate(f"Array.from({{ length: palpate.scene.body.count }}, {marks})")).T
+        np.testing.assert_array_equal(flags[heights < high[2] - 1e-3], 0.0)
+        assert flags[heights > high[2] - 1e-4].mean() > 0.5  # those at its rim face aside, too
+        sleep(1.0)
+        x, y = _place(tab, planes[0, 0].tolist())
+        before, after = (image[int(y) - 12 : int(y) + 12, int(x) - 12 : int(x) + 12] for image in (plain, picture(tab)))
+        lines = (after - before).sum(axis=2) > 0.3  # of three colours from 0 to 1
+        assert 0.1 < lines.mean() < 0.5
+
+
 def test_shapes_around_a_body_are_named_by_a_click_and_hidden_by_a_key(browser, site, session):
     high = session.surface.rest.max(axis=0)
     size = high - session.surface.rest.min(axis=0)
@@ -300,7 +401,8 @@ def test_shapes_around_a_body_are_named_by_a_click_and_hidden_by_a_key(browser, 
     with opening(browser) as open_tab:
         tab = open_tab(site.address)
         assert tab.evaluate("document.getElementById('surroundings').hidden")
-        site.loop.call_soon_threadsafe(site.server.surround, (left, behind))
+        around = NO_SURROUNDINGS._replace(shapes=(left, behind))
+        site.loop.call_soon_threadsafe(site.server.surround, around)
         tab.wait("!document.getElementById('surroundings').hidden")
         text = tab.evaluate("document.getElementById('surroundings-text').textContent")
         assert text == "Surroundings (2 shapes)"
@@ -308,6 +410,11 @@ def test_shapes_around_a_body_are_named_by_a_click_and_hidden_by_a_key(browser, 
         tab.key("s")
         assert tab.evaluate("palpate.scene.graph.children.includes(palpate.scene.surroundings.mesh)")
         middle = left.vertices.mean(axis=0).tolist()
+        colours = "palpate.scene.surroundings.mesh.material.uniforms.colours.value.map((c) => c.getHexString())"
+        assert len(set(tab.evaluate(colours))) == 5
+        assert tab.evaluate("palpate.scene.surroundings.kinds") == ["organ", "bone"]
+        keys = "[...document.querySelectorAll('#surroundings-kinds span')].map((e) => e.textContent)"
+        assert tab.evaluate(keys) == ["bone", "organ"]
 
         def click():
             place = "(() => { const b = document.getElementById('view').getBoundingClientRect();"
@@ -316,6 +423,13 @@ def test_shapes_around_a_body_are_named_by_a_click_and_hidden_by_a_key(browser, 
             tab.mouse("Pressed", x, y)
             tab.mouse("Released", x, y)
 
+        tab.mouse("Moved", *_place(tab, middle), "none")
+        label = "document.getElementById('hover-name')"
+        tab.wait(f"!{label}.hidden && {label}.textContent === 'kidney left'")
+        assert tab.evaluate("palpate.scene.surroundings.mesh.material.uniforms.hovered.value") == 0
+        tab.mouse("Moved", *_place(tab, (high - 0.5 * size * [1, 1, 0]).tolist()), "none")
+        tab.wait(f"{label}.hidden")  # over the body the tool is shown
+        assert tab.evaluate("palpate.scene.surroundings.hovered") == -1
         for name in ("kidney left", "rib 7", "kidney left"):  # the nearest, the one behind it, and again
             click()
             tab.wait(f"document.getElementById('spoken').textContent === '{name}'")

@@ -259,18 +259,20 @@ def test_volumes_have_the_digits_that_one_compares():
 
 
 def test_a_frame_of_shapes_is_decoded():
-    names = ["Niere «links»", "rib"]
+    names, kinds, edges = ["Niere «links»", "rib"], ["organ", "bone"], [[[0.0, 0.0, 0.1], [0.0, 0.0, -1.0]]]
     points = np.arange(21, dtype="<f4")
     triangles = np.array([0, 1, 2, 3, 4, 5, 4, 5, 6], dtype="<u4")
     sizes = np.array([1, 2], dtype="<u4")
     head = np.array([7, 2, 7, 3], dtype="<u4")
-    frame = b"".join(part.tobytes() for part in (head, points, triangles, sizes)) + json.dumps(names).encode()
+    frame = b"".join(part.tobytes() for part in (head, points, triangles, sizes))
+    frame += json.dumps({"names": names, "kinds": kinds, "edges": edges}).encode()
     expression = (
-        f"(({{ positions, triangles, sizes, names }}) => [[...positions], [...triangles], [...sizes], names])"
+        "(({ positions, triangles, sizes, names, kinds, edges }) => "
+        "[[...positions], [...triangles], [...sizes], names, kinds, edges])"
         f"(m.decode(new Uint8Array({list(frame)}).buffer))"
     )
     found = evaluate("protocol.js", expression)
-    assert found == [points.tolist(), triangles.tolist(), sizes.tolist(), names]
+    assert found == [points.tolist(), triangles.tolist(), sizes.tolist(), names, kinds, edges]
 
 
 def test_the_drawn_edge_is_that_of_the_session():
@@ -473,3 +475,34 @@ def test_messages_stand_below_a_title_that_they_would_cover():
         for right, bottom in titles
     ]
     assert tops == [24, 82, 105, 24]
+
+
+def test_a_hint_is_shown_for_a_tool_and_a_way_to_use_it_until_the_tool_was_used():
+    kinds = ["sphere", "capsule", "grasp", "scalpel", "group", None]
+    for way, word in (("mouse", "Hold on"), ("touch", "finger"), ("keys", "Arrow keys")):
+        texts, after = (
+            evaluate("toolHints.js", f"{json.dumps(kinds)}.map((kind) => m.hintText(kind, '{way}', {used}) ?? '')")
+            for used in ("new Set()", "new Set(['press'])")
+        )
+        assert [word in text for text in texts] == [True] * 4 + [False] * 2
+        assert texts[0] == texts[1]
+        assert after == ["", "", texts[2], texts[3], texts[4], texts[5]]
+
+
+def test_vertices_are_cut_off_where_they_lie_in_a_plane_and_face_outwards():
+    rest, normals = [[0, 0, 0.1], [0, 0, 0.1], [0, 0, 0.1], [0, 0, 0.09]], [[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 0, 1]]
+    flat = [np.ravel(each).tolist() for each in (rest, normals)]
+    planes = [[[1.0, 2.0, 0.1005], [0.0, 0.0, -1.0]]]
+    found = evaluate("bodyMesh.js", f"[...m.verticesInPlanes({flat[0]}, {flat[1]}, {planes}, 0.002)]")
+    assert found == [1, 0, 0, 0]
+
+
+def test_the_drawn_blade_is_narrow_behind_its_edge_and_tapers_to_its_point():
+    edge = np.array(evaluate("bladeEdge.js", "m.cuttingEdge(0.03)"))
+    ground = evaluate("bladeGlyph.js", "[...m.bladeParts(0.03).flat[0].attributes.position.array]")
+    points = np.array(ground).reshape(-1, 3)
+    blade = points[points[:, 2] < edge[-1, 1]]  # without the tang, which leads to the handle
+    heights = np.linalg.norm(blade[:, None, ::2] - edge, axis=2).min(axis=1)
+    assert 3.5e-3 < heights.max() < 6e-3
+    behind = blade[:, 0] < -0.012
+    assert heights[behind].max() < 0.6 * heights.max()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from palpate.surface.labels.anatomy import is_stiff_lesion, relation
+from palpate.surface.labels.anatomy import is_stiff_lesion, relation, tissue_of
 
 # organ | label that lies in it | relation
 CASES = """
@@ -117,3 +117,19 @@ def test_the_name_of_a_label_states_what_it_is_of_an_organ(line):
 ])  # fmt: skip
 def test_solid_lesions_are_stiff(name, stiff):
     assert is_stiff_lesion(name) is stiff
+
+
+KINDS = {
+    "bone": "vertebrae_L1 rib_left_7 hip_left sacrum femur_right costal_cartilages sternum skull clavicula_left Ribs",
+    "vessel": "aorta inferior_vena_cava portal_vein_and_splenic_vein iliac_artery_left iliac_vena_right lung_vessels "
+    "brachiocephalic_trunk common_carotid_artery_left pulmonary_vein IVC postcava",
+    "organ": "liver spleen kidney_left adrenal_gland_right lung_upper_lobe_left small_bowel colon urinary_bladder "
+    "prostate gallbladder stomach heart_atrium_left brain trachea Leber liver_tumor thyroid_gland",
+    "muscle": "gluteus_maximus_left autochthon_right iliopsoas_left quadriceps_femoris_left thigh_muscle",
+    "other": "spinal_cord label_7 background skin",
+}
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind, names in KINDS.items() for name in names.split()])
+def test_the_name_of_a_label_states_its_kind_of_tissue(kind, name):
+    assert tissue_of(name).value == kind

@@ -9,12 +9,11 @@ from pathlib import Path
 from palpate.core.arrays import Floats
 from palpate.scenes.description import Near, Place, Plane, Region, Support
 from palpate.scenes.label_parts import inner_labels_of, inner_region, is_large
-from palpate.surface.labels.label_map import LabelMap, Segment, part_names, segments_mask
+from palpate.surface.labels.anatomy import Tissue, tissue_of
+from palpate.surface.labels.label_map import LabelMap, part_names, segments_mask
 from palpate.surface.labels.neighbours import contact_distance, cut_faces, touching_segments
 
-BONE_WORDS = ("vertebra", "rib_", "ribs", "sternum", "sacrum", "hip_", "scapula", "clavicula", "femur", "humerus",
-              "skull", "costal", "bone")  # fmt: skip
-VESSEL_WORDS = ("aorta", "vena_cava", "vein", "artery", "atrium", "ligament", "trachea", "oesophagus", "esophagus")
+HOLDING_WORDS = ("atrium", "ligament", "trachea", "oesophagus", "esophagus")  # of names that hold like vessels
 MIN_CONTACT_SHARE = 0.01  # of the surface, from which a neighbour is proposed
 MIN_HELD_SHARE = 0.1  # of the surface; less is held by bones and vessels alone if the rear is held, too
 
@@ -49,7 +48,9 @@ def propose(
             continue
         near = Place(near=Near(file=str(file), parts=(names[segment],)))
         why = f"touches {share:.1%} of the surface"
-        kind = "bone" if _has(segment, BONE_WORDS) else "vessel" if _has(segment, VESSEL_WORDS) else ""
+        tissue = tissue_of(segment.name)
+        holds = tissue is Tissue.VESSEL or any(word in segment.name.lower() for word in HOLDING_WORDS)
+        kind = "bone" if tissue is Tissue.BONE else "vessel" if holds else ""
         if kind:
             fixed.append((Support(name=segment.name, place=near, surface_only=True), f"a {kind} that {why}"))
             held += share
@@ -76,7 +77,3 @@ def propose(
 
 def _rounded(values: Floats, digits: int) -> tuple[float, ...]:
     return tuple(round(float(value), digits) + 0.0 for value in values)
-
-
-def _has(segment: Segment, words: Sequence[str]) -> bool:
-    return any(word in segment.name.lower() for word in words)

@@ -53,6 +53,11 @@ class SessionBody:
         return 0
 
     @property
+    def strokes(self) -> int:
+        """Number of strokes of a blade that can be undone."""
+        return 0
+
+    @property
     def cut_triangles(self) -> Floats:
         """Triangles (t, 3, 3) of the cut [m]."""
         return NO_CUT.triangles
@@ -121,6 +126,10 @@ class CuttableBody(FullBody):
     @property
     def cuts(self) -> int:
         return self.cutter.cuts
+
+    @property
+    def strokes(self) -> int:
+        return self.cutter.strokes
 
     @property
     def cut_triangles(self) -> Floats:

@@ -173,7 +173,7 @@ FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
     "pin": {"index": (_index, 0), "pinned": (_boolean, REQUIRED_FIELD)},
     "release": {"index": (_index, 0)},
     "drive": {},
-    "control": {"action": (_one_of("reset", "pause", "resume"), REQUIRED_FIELD)},
+    "control": {"action": (_one_of("reset", "pause", "resume", "undo"), REQUIRED_FIELD)},
     "speed": {"factor": (_number(0.05, 1.0), REQUIRED_FIELD)},
     "follow": {"fast": (_boolean, REQUIRED_FIELD)},
     "show": {"scalar": (_one_of("displacement", "stress", "pressure", "none"), REQUIRED_FIELD)},

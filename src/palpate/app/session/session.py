@@ -191,6 +191,7 @@ class Session:
         tools = self._describe_period()[1]
         return {
             "state": self.engine.state, "tool": tools[0], "all_tools": tools, "speed": self.speed,
+            "strokes": self.body.strokes,
             "fast": self.fast, "pause_reason": self.pause_reason, "recording": self.recordings.is_active,
             "materials": self._materials(), "devices": [[index, name] for index, name in sorted(self.devices.items())],
         }  # fmt: skip
@@ -271,7 +272,8 @@ class Session:
         elif kind == "release":
             self.release(message["index"])
         elif kind == "control":
-            {"reset": self.reset, "pause": self.pause, "resume": self.resume}[message["action"]]()
+            actions = {"reset": self.reset, "pause": self.pause, "resume": self.resume, "undo": self.undo}
+            actions[message["action"]]()
         elif kind == "material":
             self._set_modulus(message["name"], 1e3 * message["value"])
         elif kind == "follow":
@@ -348,13 +350,39 @@ class Session:
         for each in self.sessions:
             each._reset()
 
-    def _reset(self) -> None:
+    def undo(self) -> bool:
+        """Restore the body before the last stroke that cut it; the blade is put away.
+
+        Body and other tools go on from their present state if the tissue that is joined again bears it. Otherwise the
+        body starts from rest, cut as before the stroke, and all tools are put away. Returns whether it went on.
+
+        Raises
+        ------
+        InputError
+            No stroke has cut the body since it was whole.
+        """
+        cutter = self.body.cutter
+        if cutter is None:
+            raise InputError("undo must be of a body that a scalpel cuts, got another; use reset")
+        with self._lock, self._pause_engine(), cutter.lock:
+            blades = [index for index, tool in enumerate(self.tools) if isinstance(tool.active.shape, Blade)]
+            coordinates = self.engine.read().coordinates
+            goes_on = cutter.undo(coordinates)
+            for index in blades:
+                self._release(index)
+            if goes_on:
+                self.engine.swap_data(cutter.update(coordinates))
+            else:
+                self._reset(keep_cut=True)
+        return goes_on
+
+    def _reset(self, keep_cut: bool = False) -> None:
         with self._lock:
             running = self.engine.state in ("running", "diverged")
             self.engine.pause()
             for index, tool in enumerate(self.tools):
                 self._set_tool(index, self.body.idle_tool, tool.origin, NO_ROTATION)
-            self.engine.reset()
+            self.engine.reset(keep_cut)
             for tool in self.tools:
                 tool.since = 0
             self._instrumented.set_state(self.body.realtime.rest, np.zeros((self.max_tools, 3)))

@@ -9,6 +9,7 @@ the mean time of a cut, and no blade moves further than that from where the body
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -40,6 +41,9 @@ from palpate.realtime.calls import model_calls
 MAX_DISTANCE_OF_A_CUT = 0.5  # largest distance of a blade from where it cut the body last, in spacings
 TURN_INTERVAL = 0.05  # [s] between turns of the normals of faces
 MEAN_CUTS, FIRST_SECONDS = 5.0, 0.03  # cuts over which their time is averaged, and the first guess [s]
+MAX_STROKES = 50  # that can be undone
+MIN_VOLUME_RATIO, MAX_STRETCH = 0.4, 3.0  # of tissue that is joined again where a cut has parted it
+NO_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 class BladeCutter:
@@ -61,6 +65,7 @@ class BladeCutter:
         self.cut_front: CutFront | None = None
         self.cuts, self.restorations, self.failure, self.wrap = 0, 0, "", lambda data: data
         self.lock = threading.RLock()
+        self._strokes: deque[EnergySolid] = deque(maxlen=MAX_STROKES)  # the body before each stroke that cut, and now
         self._contact: Contact | None = None
         self.seconds = FIRST_SECONDS
         self._whole = data.body.mass_scaling, data.body.resting_frequency  # of the body without cuts
@@ -98,6 +103,8 @@ class BladeCutter:
                 self._compile(blade)
             tools = self.data.tools.contacts.sites.tool
             tools[tools != NO_TOOL] = AWAY_TOOL  # the sites of the blade before
+            if blade is not None and not (self._strokes and self._strokes[-1] is self.model):
+                self._strokes.append(self.model)
             self._contact = None if blade is None else Contact(blade, (pose[:3], pose[3:]), name="blade")
             self.blade = NO_BLADE if blade is None else tool
             self.cut_front, self.failure, self._is_due = None, "", True
@@ -124,9 +131,38 @@ class BladeCutter:
     def restore(self) -> None:
         """Return to the whole body; the engine must be paused."""
         with self.lock:
-            self.set_blade(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), self.blade)
+            self.set_blade(None, NO_POSE, self.blade)
             self.model, self.cuts = self.whole_model, 0
+            self._strokes.clear()
             self.restorations += 1
+
+    @property
+    def strokes(self) -> int:
+        """Number of strokes that `undo` can take back: of those that have cut, at most the last 50."""
+        with self.lock:
+            return len(self._strokes) - bool(self._strokes and self._strokes[-1] is self.model)
+
+    def undo(self, coordinates: Floats) -> bool:
+        """Return to the body before the last stroke that cut; the engine must be paused, and goes on after `update`.
+
+        A stroke lasts from where a blade is put down until it is put away, as this does, too. The result is whether the
+        joined tissue bears the displacements of coordinates (3 n,) [m]: otherwise the body must start from rest.
+        """
+        with self.lock:
+            if not self.strokes:
+                raise InputError("undo must follow a stroke that has cut, got none; cut first")
+            self.set_blade(None, NO_POSE, self.blade)
+            if self._strokes[-1] is self.model:
+                self._strokes.pop()
+            cut_model, self.model = self.model, self._strokes.pop()
+            self.cuts += 1
+            if self.model is self.whole_model:
+                self.cuts, self.restorations = 0, self.restorations + 1
+            u = coordinates.reshape(-1, 3)
+            if not _bears(self.model, u):
+                return False
+            self.data.energies[LOST] += cut_model.strain_energy(u) - self.model.strain_energy(u)  # the latter is larger
+            return True
 
     def update(self, coordinates: Floats) -> Any:
         """Return new data for the engine's loop, or None: the body cut up to where the blade is.
@@ -203,6 +239,15 @@ class BladeCutter:
         self.cuts += model is not before
         self.model, self.cut_front, self.failure = model, cut_front, ""
         return sites, released
+
+
+def _bears(model: EnergySolid, u: Floats) -> bool:
+    """Return whether tissue has moderate stretches at displacements (n, 3) [m]."""
+    if not np.isfinite(u).all():
+        return False
+    gradient = model.deformation_gradient(u)
+    stretches = np.linalg.svd(gradient, compute_uv=False)
+    return bool(np.linalg.det(gradient).min() > MIN_VOLUME_RATIO and stretches.max() < MAX_STRETCH)
 
 
 def _constant(cut_front: CutFront | None) -> CutFront | None:

@@ -1,4 +1,4 @@
-"""What the name of a label states about one in which it lies: its lesion, vessel or part, or another organ.
+"""What the name of a label states: the kind of tissue, and about one in which it lies, its lesion, vessel or part.
 
 Names are those of TotalSegmentator, AMOS, BTCV, MSD and the terminologies of 3D Slicer, in any spelling.
 """
@@ -78,6 +78,16 @@ SOFT_STEMS = ("cyst", "zyst", "kyst", "abscess", "abszess", "angiom", "adenoma",
 NO_CYSTS = ("cystic duct", "cystic artery", "cystic vein", "cholecyst")
 VESSEL_STEMS = ("vessel", "vascul", "arter", "vene")
 VESSEL_WORDS = {"vein", "veins", "vena", "venous", "duct", "ducts", "bile", "biliary"}
+# kinds of tissue: names are those of `ORGAN_BY_WORD`, and words further ones that state the kind alone
+BONE_NAMES = {"vertebra", "sacrum", "rib", "clavicle", "skull", "mandible", "sternum", "hip", "pelvis", "femur",
+              "humerus", "scapula", "tibia", "fibula", "patella", "bone"}  # fmt: skip
+BONE_WORDS = {"cartilage", "cartilages", "cranium", "spine", "disc", "discs", "ulna", "radius", "tarsal", "carpal",
+              "metatarsal", "metacarpal", "phalanges", "coccyx", "maxilla", "teeth", "tooth", "calvaria"}  # fmt: skip
+VESSEL_NAMES = {"aorta", "cava", "iliac", "carotid", "subclavian", "brachiocephalic", "celiac", "coeliac", "mesenteric"}
+MUSCLE_NAMES = {"gluteus", "muscle", "autochthon", "iliopsoas", "psoas", "diaphragm"}
+MUSCLE_WORDS = {"quadriceps", "sartorius", "deltoid", "trapezius", "pectoralis", "serratus", "latissimus", "rectus",
+                "oblique", "hamstrings", "adductor", "supraspinatus", "infraspinatus", "subscapularis"}  # fmt: skip
+OTHER_NAMES = {"skin", "spinalcord", "lymph"}
 # words that name no organ, and no place in one
 GENERAL_WORDS = {"label", "segment", "seg", "segmentation", "roi", "mask", "organ", "class", "structure", "region",
                  "object", "the", "of", "in", "and", "whole", "urinary"}  # fmt: skip
@@ -107,6 +117,30 @@ def relation(inner: str, organ: str) -> Relation:
     if organs and words <= _words(inner):
         return Relation.PART
     return Relation.OTHER if other_organs else Relation.UNKNOWN
+
+
+class Tissue(Enum):
+    """The kind of tissue of a label, by its name."""
+
+    BONE = "bone"
+    VESSEL = "vessel"
+    ORGAN = "organ"
+    MUSCLE = "muscle"
+    OTHER = "other"
+
+
+def tissue_of(name: str) -> Tissue:
+    """Return the kind of tissue of a label, such as BONE for ``"rib_left_7"``; OTHER for a name without anatomy."""
+    organs, words = organs_of(name), set(_text(name).split())
+    if is_lesion(name):
+        return Tissue.ORGAN
+    if organs & MUSCLE_NAMES or words & MUSCLE_WORDS:
+        return Tissue.MUSCLE
+    if _is_vessel(name) or organs & VESSEL_NAMES:
+        return Tissue.VESSEL
+    if organs & BONE_NAMES or words & BONE_WORDS:
+        return Tissue.BONE
+    return Tissue.ORGAN if organs - OTHER_NAMES else Tissue.OTHER
 
 
 def is_lesion(name: str) -> bool:

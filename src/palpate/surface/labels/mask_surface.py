@@ -56,8 +56,13 @@ def label_surface(labels: LabelMap, part: str | Sequence[str] | None = None) -> 
             f"voxels of {labels.name} must have edges of 0.001 to 100 mm, got {_times(1e3 * edges)} mm; give "
             f"scale={factor:g} if its header has a wrong unit"
         )
+    return mask_surface(chosen_mask(labels, part))
+
+
+def chosen_mask(labels: LabelMap, part: str | Sequence[str] | None = None) -> Mask:
+    """Return the mask of the piece of which `label_surface` returns the surface."""
     part, piece = _split_piece(labels, part)
-    return mask_surface(largest_piece(mask_of(labels, part), piece))
+    return largest_piece(mask_of(labels, part), piece)
 
 
 def _split_piece(labels: LabelMap, part: str | Sequence[str] | None) -> tuple[str | Sequence[str] | None, int]:

@@ -22,7 +22,10 @@ class TouchingSegment(NamedTuple):
 
 
 class CutFace(NamedTuple):
-    """A flat face of an organ at the edge of the image: a point [m], the unit normal inwards, share of the surface."""
+    """A flat face of an organ at the edge of the image: a point [m], the unit normal inwards, share of the surface.
+
+    The point is the middle of its voxels, half a voxel inside of the edge.
+    """
 
     point: Floats
     normal: Floats

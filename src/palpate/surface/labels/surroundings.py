@@ -1,8 +1,9 @@
-"""Coarse surfaces of the other labels around a body, for display."""
+"""What a label map has around a body, for display: its other labels, and where the edge of the image cuts the body."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import scipy.ndimage as ndimage
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats, Ints
 from palpate.surface.isosurface import zero_surface
-from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments
-from palpate.surface.labels.mask_surface import PIECE_PATTERN
+from palpate.surface.labels.label_map import LabelMap, Mask, Segment, choose_segments
+from palpate.surface.labels.mask_surface import PIECE_PATTERN, chosen_mask
+from palpate.surface.labels.neighbours import cut_faces
 from palpate.surface.surface import Surface
 
 MAX_SURROUNDING_TRIANGLES = 60_000  # of all surfaces
@@ -26,6 +28,30 @@ GAUSSIAN_WIDTH = 0.8  # standard deviation of the Gaussian over a step, or over 
 GAUSSIAN_REACH = 2.5  # of the Gaussian, in standard deviations
 LEVEL_RANGE = (0.1, 0.5)  # of the isosurface
 MIN_VOXELS = 8
+
+
+class Surroundings(NamedTuple):
+    """Surfaces around a body, and planes at which the edge of the image cuts the body off, both in its frame."""
+
+    shapes: tuple[Surface, ...]
+    edges: Floats  # (k, 2, 3) array: a point [m] and the unit normal inwards
+
+
+NO_SURROUNDINGS = Surroundings((), np.zeros((0, 2, 3)))
+
+
+def surroundings_in(labels: LabelMap, part: str | Sequence[str] | None) -> Surroundings:
+    """Return what is around a body of some labels."""
+    return Surroundings(surrounding_surfaces(labels, part), _edges_of(chosen_mask(labels, part)))
+
+
+def _edges_of(mask: Mask) -> Floats:
+    """Return the planes (k, 2, 3) at which the edge of its image cuts a mask: a point [m] and the normal inwards."""
+    planes = []
+    for face in cut_faces(mask):
+        voxel = np.abs(face.normal @ mask.affine[:3, :3]).max()  # along the normal
+        planes.append((face.point - 0.5 * voxel * face.normal, face.normal))
+    return np.reshape(planes, (-1, 2, 3))
 
 
 def surrounding_surfaces(

@@ -20,9 +20,11 @@ from palpate.app.recordings.snapshot import (
 )
 from palpate.core.arrays import Singles
 from palpate.realtime.record import layout
+from palpate.surface.labels.anatomy import tissue_of
 
 if TYPE_CHECKING:
     from palpate.realtime.bodies.display_surface import DisplaySurface
+    from palpate.surface.labels.surroundings import Surroundings
     from palpate.surface.surface import Surface
 
 
@@ -64,15 +66,18 @@ def preview_frame(surface: Surface) -> bytes:
     return _mesh_frame(PREVIEW, surface.vertices, surface.triangles, np.zeros(len(surface.vertices)))
 
 
-def surroundings_frame(surfaces: Sequence[Surface]) -> bytes:
-    """Return the frame of shapes around a body: positions, triangles, numbers of triangles by shape, and names."""
+def surroundings_frame(surroundings: Surroundings) -> bytes:
+    """Return the frame of what is around a body: positions, triangles, their numbers by shape, names, kinds, edges."""
+    surfaces = surroundings.shapes
     counts = [len(each.vertices) for each in surfaces]
     starts = np.cumsum([0, *counts])
-    points = np.concatenate([each.vertices for each in surfaces]).astype("<f4")
-    triangles = np.concatenate([each.triangles + start for each, start in zip(surfaces, starts, strict=False)])
+    points = np.concatenate([np.zeros((0, 3)), *(each.vertices for each in surfaces)]).astype("<f4")
+    shifted = [each.triangles + start for each, start in zip(surfaces, starts, strict=False)]
+    triangles = np.concatenate([np.zeros((0, 3), dtype=int), *shifted])
     sizes = np.array([len(each.triangles) for each in surfaces], dtype="<u4")
-    names = json.dumps([each.name for each in surfaces]).encode()
-    body = points.tobytes() + triangles.astype("<u4").tobytes() + sizes.tobytes() + names
+    names = [each.name for each in surfaces]
+    about = {"names": names, "kinds": [tissue_of(name).value for name in names], "edges": surroundings.edges.tolist()}
+    body = points.tobytes() + triangles.astype("<u4").tobytes() + sizes.tobytes() + json.dumps(about).encode()
     return pack_frame(SURROUNDING_SHAPES, len(surfaces), len(points), body, len(triangles))
 
 

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import secrets
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 from palpate.app.common.console import Console
 from palpate.app.view.server.address import (
@@ -24,7 +24,7 @@ from palpate.app.view.server.page import Page
 from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.server import Server
 from palpate.app.view.server.view_source import Refining, ViewSource
-from palpate.surface.surface import Surface
+from palpate.surface.labels.surroundings import Surroundings
 
 JOIN_INTERVAL = 1.0  # [s]
 
@@ -93,10 +93,10 @@ class Host:
         """Show a prepared session to all viewers, and the refinement that may replace it later."""
         self._call(self._server.show, source, refinement)
 
-    def surround(self, shapes: Sequence[Surface]) -> None:
-        """Show shapes around the body to all viewers, now or when the body is shown."""
+    def surround(self, surroundings: Surroundings) -> None:
+        """Show what is around the body to all viewers, now or when the body is shown."""
         with contextlib.suppress(RuntimeError):  # the server has ended
-            self._call(self._server.surround, shapes)
+            self._call(self._server.surround, surroundings)
 
     def fail(self, reason: str) -> None:
         """Report to the viewers that the preparation has failed."""

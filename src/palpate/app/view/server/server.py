@@ -9,7 +9,7 @@ import json
 import logging
 import socket
 import time
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any
 
@@ -42,7 +42,7 @@ from palpate.app.view.server.view_source import Refining, ViewSource
 from palpate.app.view.server.viewer import INVALID_MESSAGES, VIEWER_TOO_SLOW, Viewer
 from palpate.core.faults import InputError
 from palpate.core.files import shortened
-from palpate.surface.surface import Surface
+from palpate.surface.labels.surroundings import Surroundings
 
 VERSIONS_BY_SUBPROTOCOL = {Subprotocol(f"palpate.v{version}"): version for version in reversed(PROTOCOL_VERSIONS)}
 DATA_OF_VERSION_3 = ("max_tools", "all_tools")  # of `hello` and `status`
@@ -128,10 +128,10 @@ class Server:
             source.pause(NO_VIEWERS)
         self._prepared.set()
 
-    def surround(self, shapes: Sequence[Surface]) -> None:
-        """Show shapes around the body to the viewers that ask for them; called in the server's thread, once."""
-        if shapes:
-            self._surroundings = frames.surroundings_frame(shapes)
+    def surround(self, surroundings: Surroundings) -> None:
+        """Show what is around the body to the viewers that ask for it; called in the server's thread, once."""
+        if surroundings.shapes or len(surroundings.edges):
+            self._surroundings = frames.surroundings_frame(surroundings)
             self._surrounded.set()
 
     async def fail(self, reason: str) -> None:
