@@ -29,7 +29,6 @@ sys.path.append(str(ROOT / "validation"))
 import result_files  # noqa: E402
 
 RESULTS = DOCS / "validation"
-NO_MACHINE = "machine not recorded"
 BLOCK = re.compile(r"(<!-- figures: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -46,7 +45,7 @@ def commands_of(block: Block) -> list[str]:
 def runs_of(name: str, block: Block) -> list[tuple[str, dict[str, Any]]]:
     """Return the commands of a block that made a result file, each with its last run: an entry of the file's ``made``.
 
-    A run of all parts of a study counts for each. Where no run of a command is known, it is the entry that has none.
+    A run of all parts of a study counts for each.
 
     Raises
     ------
@@ -54,10 +53,9 @@ def runs_of(name: str, block: Block) -> list[tuple[str, dict[str, Any]]]:
         Only other commands made the file.
     """
     made, runs = content(name)["made"], []
-    unnamed = [each for each in made if "command" not in each]
     for command in commands_of(block):
-        known = [each for each in made if f"{command} ".startswith(f"{each.get('command')} ")]
-        runs += [(command, each) for each in (known or unnamed)[-1:]]
+        known = [each for each in made if f"{command} ".startswith(f"{each['command']} ")]
+        runs += [(command, each) for each in known[-1:]]
     if not runs:
         raise ValueError(f"{name}.json must have a run of {block.command}, got {[each['command'] for each in made]}")
     return runs
@@ -65,7 +63,7 @@ def runs_of(name: str, block: Block) -> list[tuple[str, dict[str, Any]]]:
 
 def provenance(entry: dict[str, Any], timed: bool) -> str:
     """Return the commit, date and machine of a run, and for a table of times whether the machine had other work."""
-    machine = re.sub(r"\(R\)| Processor| @|, Linux$", "", entry.get("machine", NO_MACHINE)).replace("cores, ", "cores ")
+    machine = re.sub(r"\(R\)| Processor| @|, Linux$", "", entry["machine"]).replace("cores, ", "cores ")
     note = [entry["note"]] if timed and "note" in entry else []
     return ", ".join([f"commit {entry['commit']}", entry["date"], machine, *note])
 

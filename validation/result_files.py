@@ -5,7 +5,7 @@
 keeps a report of `palpate reproduce`, `speed.py` or `linear_reductions.py` as the result file NAME, with a note on
 the machine. A file holds ``results``, what the study found in SI units, and ``made``, one entry for every command that
 wrote it: command, commit, date, machine and code. `docs/figures.py` makes the tables of the docs from these files.
-Entries without a machine are older than this module; their commit is the one that last changed the figures.
+Command and machine of runs until 2026-11-25 were added later; their commit is the one that last changed the figures.
 
 The code of an entry has a digest for each folder of src/palpate that the command imported, and for each script. A
 result is older than the code where one of them differs today: `changed` lists these. Comments, docstrings, annotations

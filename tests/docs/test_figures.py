@@ -69,13 +69,13 @@ def test_a_table_names_the_last_run_of_its_command(monkeypatch):
     old, part, whole = (
         {"commit": commit, "date": "2026-01-01", **command}
         for commit, command in (
-            ("1111111", {}), ("2222222", {"command": "a.py b"}), ("3333333", {"command": "a.py"})
+            ("1111111", {"command": "a.py"}), ("2222222", {"command": "a.py b"}), ("3333333", {"command": "a.py"})
         )
     )  # fmt: skip
     for made, command, commit in (
         ([old], "a.py b", old), ([old, part], "a.py b", part), ([old, part], "a.py c", old),
         ([old, part, whole], "a.py b", whole), ([old, whole, part], "a.py c", whole),
-        ([old, part], "z.py` and `a.py b", part), ([old, whole], "a.pyx", old),
+        ([old, part], "z.py` and `a.py b", part),
     ):  # fmt: skip
         monkeypatch.setattr(figures, "content", lambda name, made=made: {"made": made})
         assert [run for _, run in figures.runs_of("tips", block_of(command))][-1] is commit
@@ -137,6 +137,12 @@ def test_results_older_than_the_code_are_listed_with_what_changed(monkeypatch):
     assert "tips |" not in text
     monkeypatch.setattr(figures, "shown", lambda: {("tips", "a.py"): entries["tips", "a.py"]})
     assert figures.stale() == "None."
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_run_has_a_command_a_commit_a_machine_and_a_date(path):
+    for run in json.loads(path.read_text(encoding="utf-8"))["made"]:
+        assert all(run[key] for key in ("command", "commit", "machine", "date")), run
 
 
 def test_runs_behind_the_pages_have_a_digest_since_digests_are_kept():
