@@ -29,16 +29,18 @@ class Comparison(Session):
     """The session of a reduced model, with the full body in a second engine.
 
     Both have the same nodes and the same tools at the same poses, with a rigid coupling: the tools of two springs would
-    differ. Each body has its own clock. While one is slower than real time and the tool moves, the two are at different
-    times.
+    differ. Of a model with a prescribed group, forceps hold that group of the full body. Each body has its own clock.
+    While one is slower than real time and the tool moves, the two are at different times.
     """
 
     def __init__(self, model: ReducedModel, full_model: Model, title: str, rate: float = PERIODS_PER_SECOND) -> None:
-        if not isinstance(full_model, EnergySolid) or model.data.compliance is None:
+        touched, groups = model.data.compliance is not None, model.data.prescribed
+        if not isinstance(full_model, EnergySolid) or not (touched or len(groups) == 1):
             raise InputError(
-                "model must be of a solid that a tool touches to be compared, got another one; leave --compare out"
+                "model must be of a solid that a tool touches or holds to be compared, got another one; leave "
+                "--compare out"
             )
-        self.full = Session(full_model, title, rate)
+        self.full = Session(full_model, title, rate, end="" if touched else groups[0], held=not touched)
         super().__init__(model, title, rate)
         self.sessions = (self.full, self)
         self.full.speed_limit = self.speed_limit
