@@ -1,8 +1,11 @@
 // The page: connects the session with the scene, the input controls and the panel.
 import "./style.css";
 import { showBody } from "./aboutBody.js";
+import { BodyEnd } from "./bodyEnd.js";
+import { BodyMenu } from "./bodyMenu.js";
 import { HandList } from "./handList.js";
 import { Hands, titleOf } from "./hands.js";
+import { openHelp } from "./help.js";
 import { InputControls } from "./inputControls.js";
 import { LabelChoice } from "./labelChoice.js";
 import { Legend, updateScaleBar } from "./legend.js";
@@ -28,6 +31,7 @@ const statusLine = new StatusLine(byId);
 const meter = new FrameMeter();
 const legend = new Legend(byId);
 const preparation = new Preparation(byId);
+const bodyEnd = new BodyEnd(byId);
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
@@ -81,7 +85,7 @@ const hands = new Hands({
 });
 
 let hasCut = false; // whether the scalpel was chosen before
-let scene, controls, handList, plots, panel, transport, refinement, surroundings, choice, connection;
+let scene, controls, handList, plots, panel, transport, refinement, bodyMenu, surroundings, choice, connection;
 
 function start() {
   try {
@@ -100,6 +104,7 @@ function start() {
     if (message.action === "reset") hands.reset();
   });
   refinement = new Refinement(byId, send);
+  bodyMenu = new BodyMenu(byId, send);
   surroundings = new SurroundingsPanel(byId, scene.fine, (shown) => scene.showSurroundings(shown), mark);
   choice = new LabelChoice(byId, send);
   controls = new InputControls(scene, page, hands);
@@ -113,7 +118,7 @@ function start() {
     plots.draw(performance.now(), true);
   });
   byId("drive").onclick = () => send({ type: "drive" });
-  byId("help-open").onclick = () => byId("help").showModal();
+  byId("help-open").onclick = help;
   byId("overlay").onchange = () => {
     scene.overlay.lines.visible = byId("overlay").checked;
     scene.dirty = true;
@@ -164,10 +169,12 @@ const answers = {
     for (const press of [...controls.presses]) controls.release(press); // of the body that was shown
     session.hello = message;
     session.space = message.space;
-    session.status = { driver: false, viewers: message.viewers, state: "running", speed: 1 };
+    session.status = { end_tools: message.end_tools, driver: false, viewers: message.viewers, state: "running", speed: 1 };
     offerDepth(message);
     hands.offer(message, initialTools(message));
     refinement.offer();
+    bodyMenu.offer();
+    bodyEnd.offer(message);
     showBody(byId, message);
     document.body.classList.toggle("replaying", replaying());
     const [low, high] = message.bounds;
@@ -185,6 +192,7 @@ const answers = {
     const before = driver();
     Object.assign(session.status, message);
     hands.adopt(message.all_tools ?? [message.tool]);
+    bodyEnd.status(session.status);
     if (message.devices) hands.devices = new Map(message.devices);
     panel.materials(message.materials);
     if (driver() && !before && scene.body?.count === session.hello.vertices) hands.start();
@@ -212,6 +220,7 @@ const answers = {
       statusLine.announce("The finer model is in use.");
     }
   },
+  bodies: (message) => bodyMenu.show(message),
   recorded: ({ file, frames }) => statusLine.showToast(`${frames} frames recorded in ${file}`),
 };
 
@@ -285,11 +294,16 @@ function showStatus() {
   panel.status({ tool: session.tool, driver: driver(), fast: status.fast }, replaying());
   transport.status(status, driver());
   refinement.status(driver());
+  bodyMenu.status(driver());
   handList.show(driver());
   scene.dirty = true;
 }
 
 // input of the user
+
+function help() {
+  openHelp(byId, session.hello, Boolean(scene?.surroundings));
+}
 
 function choose(kind) {
   if (kind === session.tool.kind || !driver()) return;
@@ -340,7 +354,7 @@ function key(event) {
   const field = event.target.matches?.("input, select, button");
   if (field && [" ", "Enter", "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"].includes(event.key)) return;
   const kinds = session.hello?.tools ?? [];
-  const meanings = { r: () => transport.reset(), p: () => transport.pause(), h: () => driver() && controls.hold(), delete: () => controls.release(), f: () => scene.orbitCamera.reset(), s: () => surroundings.toggle(), escape: () => scene.surroundings && mark(-1), "?": () => byId("help").showModal() };
+  const meanings = { r: () => transport.reset(), p: () => transport.pause(), h: () => driver() && controls.hold(), delete: () => controls.release(), f: () => scene.orbitCamera.reset(), s: () => surroundings.toggle(), escape: () => scene.surroundings && mark(-1), "?": help };
   const meaning = meanings[event.key.toLowerCase()] ?? (kinds[event.key - 1] && (() => choose(kinds[event.key - 1])));
   if (meaning) meaning();
   else if (!scene.body || !controls.key(event)) return;
@@ -375,6 +389,7 @@ function renderFrame(now, seconds) {
 function showState(state, now, seconds) {
   session.state = state;
   scene.body.update(state);
+  bodyEnd.update(scene.body);
   scene.body.setColourRange(session.scalar === "none" ? null : legend.updateRange(state, seconds));
   scene.dirty = true;
   const beyond = panel.judge(state);
@@ -396,10 +411,11 @@ function statesOf({ sequence, tool, force, newtons, position, quaternion, pose }
 /** A state with the force of the tool that is read. */
 const handState = (state) => ({ ...state, newtons: hands.state(hands.read).newtons });
 
-/** The depth [m] of the press in hand, as the session has it; null without one, and until the session answers its poses. */
+/** The depth [m] of the press in hand, as the session has it, or how far it has moved the end; null without one, and until the session answers its poses. */
 function pressDepth() {
   const { press } = controls;
   const tool = press && hands.state(press.index);
+  if (press && bodyEnd.holds(press.index)) return bodyEnd.moved;
   return tool && tool.kind !== "none" && tool.pose >= press.first ? press.depthAt(tool.position) : null;
 }
 
@@ -411,7 +427,8 @@ function updateReadings(now) {
   const shown = handState(session.state);
   panel.state(shown, session.fullNewtons);
   const held = hands.read === hands.inHand ? "" : `${titleOf(hands.read, hands.slots[hands.read].tool.kind)}, held`;
-  panel.press(airTime > AIR_TIME ? null : pressDepth(), shown.newtons, held);
+  panel.press(airTime > AIR_TIME ? null : pressDepth(), shown.newtons, held, controls.press && bodyEnd.holds(controls.press.index));
+  bodyEnd.show(hands.slots.map((slot) => slot.state), !panel.beyond && !panel.through);
   handList.show(driver());
   handList.update(panel.beyond);
 }

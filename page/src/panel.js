@@ -139,13 +139,16 @@ export class Panel {
     panel.scrollBy({ top: way, behavior: still ? "instant" : "smooth" });
   }
 
-  /** Show the depth [m] of the press in hand, null without one, or the name of the held tool whose force is shown. */
-  press(depth, newtons, name) {
+  /**
+   * Show the depth [m] of the press in hand, null without one, or the name of the held tool whose force is shown. The
+   * way of an end that is pulled has its own place.
+   */
+  press(depth, newtons, name, ofEnd = false) {
     const reading = pressReading(depth, newtons, !this.beyond && !this.through);
     this.write("depth", reading.depth);
     this.write("stiffness", reading.stiffness);
     this.write("held-name", name);
-    this.byId("depth-part").hidden = !reading.depth;
+    this.byId("depth-part").hidden = !reading.depth || ofEnd;
     this.byId("stiffness-part").hidden = !reading.stiffness;
   }
 

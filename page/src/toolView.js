@@ -16,7 +16,7 @@ function showTool(scene, { index, tool, state: now, press, former, inHand }, bey
   const { tools, arrows, size } = scene;
   const there = press !== null || now.kind !== "none";
   const mark = tools[index];
-  mark.group.visible = Boolean(there && tool.kind !== "group" && size);
+  mark.group.visible = Boolean(there && size);
   if (!there) return;
   const mine = press && (!tool.stiffness || now.kind === "none");
   const [position, quaternion] = mine ? [press.position.toArray(), press.quaternion] : [now.position, now.quaternion];

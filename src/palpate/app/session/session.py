@@ -169,7 +169,8 @@ class Session:
             "materials": self._materials(), "rate": self.rate, "scalars": scalar_descriptions(self.surface),
             "training_errors": training_errors(self.model), "nodes_error": nodes_error(self.model), "overlay": False,
             "full": self.body.is_full, "tool_speed": self.speed_limit,
-            "subtitle": self.subtitle, "notes": list(self.notes), "end": self._end_vertices(),
+            "subtitle": self.subtitle, "notes": list(self.notes),
+            "end": self._end_vertices(), "end_tools": self._end_tools(),
             **describe_tools(self.tool_kinds),
         }  # fmt: skip
 
@@ -179,6 +180,13 @@ class Session:
             return None
         vertices: list[int] = np.flatnonzero(np.isin(self.surface.nodes, self.model.cloud.group(self.end))).tolist()
         return vertices
+
+    def _end_tools(self) -> list[int]:
+        """Return the indices of the tools that hold the end."""
+        if isinstance(self.body, GroupBody):
+            return [0]
+        end = self._end_forceps
+        return [index for index, tool in enumerate(self.tools) if end is not None and tool.active.shape == end]
 
     def _materials(self) -> list[dict[str, Any]]:
         return material_sliders(self.model, self.modulus_ratio)
@@ -205,6 +213,7 @@ class Session:
             "state": self.engine.state, "tool": tools[0], "all_tools": tools, "speed": self.speed,
             "fast": self.fast, "pause_reason": self.pause_reason, "recording": self.recordings.is_active,
             "materials": self._materials(), "devices": [[index, name] for index, name in sorted(self.devices.items())],
+            "end_tools": self._end_tools(),
         }  # fmt: skip
 
     def statistics(self) -> dict[str, Any]:

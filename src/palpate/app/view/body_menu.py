@@ -37,7 +37,7 @@ def make_trainer(scene: Scene) -> Trainer:
 
 
 def has_menu(scene: Scene) -> bool:
-    """Return True if the body of a scene may have another law: one tissue, without stress in the shape of the surface."""
+    """Return True if the body of a scene may have another law: of one tissue, at rest in the shape of its surface."""
     about = scene.description
     regions = any(region.parameters for region in about.region)
     return bool(offered_laws(about.tissue)) and not (regions or about.body.under_loads)
@@ -64,6 +64,7 @@ class BodyMenu:
         self._trainer: Trainer | None = None
         self._laws = [self._describe(name) for name in offered_laws(scene.description.tissue)]
         self._modes_offered = [NO_MODES, *compared_modes(scene)] if scene.held_group else []
+        self._trained = self._is_trained(self._law)
 
     def _describe(self, name: str) -> dict[str, str]:
         """Return the name of a law, and its parameters and moduli for people."""
@@ -73,13 +74,29 @@ class BodyMenu:
         here = name == self._scene.description.tissue.law
         return {"name": name, "text": f"{parameters_text(tissue)}. At rest {moduli}{'' if here else ', as before'}."}
 
+    def _scene_of(self, law: str) -> Scene:
+        """Return the scene with another law, whose body has the nodes of that which is shown."""
+        tissue = of_law(self._scene.description.tissue, law)
+        return self._scene.with_tissue(self._cloud, law=tissue.law, parameters=tissue.parameters)
+
+    def _is_trained(self, law: str) -> bool:
+        """Return True if the reduced models of a law are kept, or none are offered."""
+        if len(self._modes_offered) < 2:
+            return True
+        scene = self._scene_of(law)
+        try:
+            return all(compared_file(scene, modes).is_file() for modes in self._modes_offered[1:])
+        except InputError:  # a user without a home folder keeps no models
+            return False
+
     def message(self) -> dict[str, Any]:
         """Return the message ``bodies`` of the protocol."""
         with self._lock:
             progress = {"phase": None, "fraction": None, "seconds_left": None, **self._progress()}
             return {
                 "type": "bodies", "laws": self._laws, "law": self._law, "modes": self._modes_offered,
-                "shown_modes": self._modes, "state": self._state, **progress, "note": self._note,
+                "shown_modes": self._modes, "trained": self._trained,
+                "state": self._state, **progress, "note": self._note,
             }  # fmt: skip
 
     def handle(self, message: Message) -> None:
@@ -112,7 +129,7 @@ class BodyMenu:
 
     def _session(self, law: str, modes: int) -> Session:
         """Return the session of a body, of a reduced model and its full body if there are modes."""
-        scene = self._scene.with_tissue(self._cloud, **_changes(of_law(self._scene.description.tissue, law)))
+        scene = self._scene_of(law)
         preparation = Preparation(scene.title, f"law {law}{' reduced' if modes else ''}")
         try:
             if not preparation.code_is_compiled and law != self._scene.description.tissue.law:
@@ -151,9 +168,7 @@ class BodyMenu:
         file = compared_file(scene, modes)
         if not file.is_file():
             trainer = self._trainer = self._train(scene)
-            self._console.say(
-                f"reduced models of {scene.title} are trained in the background, and kept in {file.parent}"
-            )
+            self._console.say(f"reduced models are trained in the background, and kept in {file.parent}")
             for event in trainer.events():
                 if "failed" in event:
                     raise InputError(event["failed"])
@@ -177,6 +192,7 @@ class BodyMenu:
             if not self._has_next:
                 return None
             session, self._law, self._modes = self._next
+            self._trained = self._is_trained(self._law)
             session.continue_from(latest(self._shown))
             self._shown, self._has_next, self._state = session, False, READY
             return session
@@ -190,8 +206,3 @@ class BodyMenu:
         if self._thread is not None:
             self._thread.join(JOIN_SECONDS)
         self._shown.close()
-
-
-def _changes(tissue: Any) -> dict[str, Any]:
-    """Return what a tissue of another law changes."""
-    return {"law": tissue.law, "parameters": tissue.parameters}
