@@ -30,6 +30,7 @@ export class BodyMenu {
 
   ask(part) {
     const { law, shown_modes: modes } = this.message;
+    if (part.modes !== undefined) this.markModes(String(part.modes));
     this.send({ type: "body", law, modes, ...part });
   }
 
@@ -42,9 +43,11 @@ export class BodyMenu {
     if (JSON.stringify([before?.laws, before?.modes]) !== JSON.stringify([laws, modes])) this.build(message);
     byId("body-menu").hidden = false;
     byId("modes-part").hidden = modes.length === 0;
-    byId("law").value = law;
-    this.markModes?.(String(message.shown_modes));
-    byId("law-text").textContent = laws.find(({ name }) => name === law)?.text ?? "";
+    if (message.state !== "preparing") {
+      byId("law").value = law; // else the choice stays
+      this.markModes?.(String(message.shown_modes));
+    }
+    byId("law-text").textContent = laws.find(({ name }) => name === byId("law").value)?.text ?? "";
     byId("modes-text").textContent = trained ? "" : TRAINING;
     const { text, share, bad } = menuProgress(message);
     byId("body-text").textContent = text;

@@ -34,6 +34,7 @@ const preparation = new Preparation(byId);
 const bodyEnd = new BodyEnd(byId);
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
+const END_ROOM = 1.15; // for an end that is pulled
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
 const MIN_FORCE = 2e-3; // [N] of a tool that touches
 
@@ -175,6 +176,7 @@ const answers = {
     refinement.offer();
     bodyMenu.offer();
     bodyEnd.offer(message);
+    scene.room = message.end ? END_ROOM : 1;
     showBody(byId, message);
     document.body.classList.toggle("replaying", replaying());
     const [low, high] = message.bounds;

@@ -125,9 +125,10 @@ export class Panel {
     return this.beyond;
   }
 
-  /** The force of a state in words; see `forceReading`. */
+  /** The force of a state in words; see `forceReading`. The force of a full model next to it shows an error that was not measured. */
   force({ newtons }) {
-    const { bound, full, beyond, through, nodesError } = this;
+    const { bound, full, beyond, through, nodesError, compare } = this;
+    if (compare && !this.trainingErrors) return forceReading({ newtons, calibrated: true, nodesError });
     return forceReading({ newtons, bound, full, beyond, through, nodesError, calibrated: Boolean(this.trainingErrors) });
   }
 

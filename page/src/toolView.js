@@ -27,7 +27,7 @@ function showTool(scene, { index, tool, state: now, press, former, inHand }, bey
   mark.stroke(blade?.way ?? 1, blade ? Math.max(blade.depth - blade.approach, 0) : 0.35 * (tool.length ?? 0));
   const ball = tool.kind === "sphere" || tool.kind === "capsule" ? tool.radius : 0;
   if (press && !mine && inHand) showPointer(scene, press, position);
-  if (now.kind !== "none" && !beyond) arrows[index].show(position, now.force, now.newtons, size, ball, tool.kind === "grasp");
+  if (now.kind !== "none" && !beyond) arrows[index].show(position, now.force, now.newtons, size, ball, tool.kind === "grasp" || tool.kind === "group");
 }
 
 /** Draw the pose of the pointer where a soft coupling separates it from the tool. */
