@@ -1,11 +1,12 @@
 // The end of a body that forceps pull: how far it is moved, with which force, and a sentence that says what to do.
+import { lawName } from "./bodyMenu.js";
 import { plainForce } from "./forceText.js";
 
 /** What to do on the page of a body with an end, by its title; with a reduced model next to the full one, what is shown. */
-export function taskText(title, held) {
+export function taskText(title, held, [solid, lines] = ["the reduced model", "the full one"]) {
   const body = `the ${title[0].toLowerCase()}${title.slice(1)}`;
   if (!held) return `Pull the end of ${body}: hold the button on its free end and drag.`;
-  return `Pull the end of ${body}: forceps hold it, drag anywhere. Solid: the reduced model; lines: the full one.`;
+  return `Pull the end of ${body}: forceps hold it, drag anywhere. Solid: ${solid}; lines: ${lines}.`;
 }
 
 /** The mean displacement [m] of some vertices, and where they are [m] in the mean. */
@@ -26,10 +27,10 @@ export class BodyEnd {
   }
 
   /** Begin with the body of a hello message. */
-  offer({ end = null, title, tools, mode }) {
+  offer({ end = null, title, tools, mode, full, compared }) {
     this.vertices = mode === "replay" ? null : end;
     this.byId("task").hidden = this.byId("end").hidden = !this.vertices;
-    if (this.vertices) this.byId("task").textContent = taskText(title, tools.length === 0);
+    if (this.vertices) this.byId("task").textContent = taskText(title, tools.length === 0, full ? compared?.map(lawName) : undefined);
   }
 
   /** Take the indices of the tools that hold the end, of a status message. */

@@ -1,4 +1,5 @@
 // The panel: readings of the session, and settings.
+import { lawName } from "./bodyMenu.js";
 import { nameOf } from "./hands.js";
 import { choice, slider, formatNumber } from "./widgets.js";
 import { comparisonText, cutText, forceReading, isBeyond, pressReading, trustText } from "./forceText.js";
@@ -35,6 +36,8 @@ export class Panel {
     this.nodesError = hello.nodes_error;
     this.full = Boolean(hello.full);
     this.compare = Boolean(hello.compare);
+    this.compared = this.full ? hello.compared?.map(lawName) : undefined; // names of two laws
+    byId("overlay-name").textContent = this.compared?.[1] ?? "Full model";
     this.bound = undefined; // error bound of the force [N], null where it is not known
     this.beyond = this.through = false;
     this.readings = {};
@@ -160,7 +163,7 @@ export class Panel {
     this.write("force", value);
     this.write("force-range", range && `(${range})`);
     this.write("force-note", note);
-    this.write("force-comparison", Number.isFinite(fullNewtons) ? comparisonText(state.newtons, fullNewtons) : "");
+    this.write("force-comparison", Number.isFinite(fullNewtons) ? comparisonText(state.newtons, fullNewtons, this.compared) : "");
     this.byId("force-section").classList.toggle("beyond", this.beyond || this.through);
     this.write("energy", (1e3 * (state.strain + state.kinetic)).toFixed(2));
     this.write("step", (1e3 * state.computing).toFixed(2));

@@ -15,7 +15,7 @@ size = [0.06, 0.02, 0.02]
 spacing = "6.6666666666666667 mm"
 [tissue]
 law = "MooneyRivlin"
-parameters = { C1 = 8e3, C2 = 0 }
+parameters = { C1 = 4e3, C2 = 4e3 }
 [[support]]
 place = { group = "x-" }
 [tool]

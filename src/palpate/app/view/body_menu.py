@@ -1,4 +1,4 @@
-"""Menu of a page: the law of the tissue, and the modes of a reduced model that is shown with the full body."""
+"""Menu of a page: the law of the tissue, and what is shown with the body: a reduced model, or a body of another law."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 from palpate.app.common.compile_ahead import compile_ahead
 from palpate.app.common.console import Console
@@ -43,6 +43,14 @@ def has_menu(scene: Scene) -> bool:
     return bool(offered_laws(about.tissue)) and not (regions or about.body.under_loads)
 
 
+class Choice(NamedTuple):
+    """A choice of the menu."""
+
+    law: str
+    modes: int = NO_MODES  # of a reduced model next to the full body
+    beside: str = ""  # law of a second body
+
+
 class BodyMenu:
     """Makes bodies of a scene by the choices of the driver, behind the session that is shown.
 
@@ -55,16 +63,16 @@ class BodyMenu:
         assert isinstance(session.model, EnergySolid)
         self._scene, self._console, self._train = scene, console, train
         self._cloud, self._shown = session.model.cloud, session
-        self._law, self._modes = scene.description.tissue.law, NO_MODES
+        self._chosen = Choice(scene.description.tissue.law)
         self._state, self._note = READY, ""
         self._progress: Callable[[], dict[str, Any]] = dict
-        self._lock, self._next = threading.Lock(), (session, self._law, NO_MODES)
+        self._lock, self._next = threading.Lock(), (session, self._chosen)
         self._has_next, self._closed = False, False
         self._thread: threading.Thread | None = None
         self._trainer: Trainer | None = None
         self._laws = [self._describe(name) for name in offered_laws(scene.description.tissue)]
         self._modes_offered = [NO_MODES, *compared_modes(scene)] if scene.held_group else []
-        self._trained = self._is_trained(self._law)
+        self._trained = self._is_trained(self._chosen.law)
 
     def _describe(self, name: str) -> dict[str, str]:
         """Return the name of a law, and its parameters and moduli for people."""
@@ -94,17 +102,20 @@ class BodyMenu:
         with self._lock:
             progress = {"phase": None, "fraction": None, "seconds_left": None, **self._progress()}
             return {
-                "type": "bodies", "laws": self._laws, "law": self._law, "modes": self._modes_offered,
-                "shown_modes": self._modes, "trained": self._trained,
+                "type": "bodies", "laws": self._laws, "law": self._chosen.law, "beside": self._chosen.beside,
+                "modes": self._modes_offered, "shown_modes": self._chosen.modes, "trained": self._trained,
                 "state": self._state, **progress, "note": self._note,
             }  # fmt: skip
 
     def handle(self, message: Message) -> None:
-        """Begin to make the body of a message ``body``, with a law and a number of modes."""
-        law, modes = message["law"], message["modes"]
-        names = [each["name"] for each in self._laws]
-        if law not in names:
-            raise InputError(f"body: law must be one of {', '.join(names)}, got {law!r}; choose one of these")
+        """Begin to make the body of a message ``body``, with a law, and a number of modes or a second law."""
+        choice = Choice(*(message[name] for name in Choice._fields))
+        modes, names = choice.modes, [each["name"] for each in self._laws]
+        for name in ("law", "beside") if choice.beside else ("law",):
+            if (given := message[name]) not in names:
+                raise InputError(f"body: {name} must be one of {', '.join(names)}, got {given!r}; choose one of these")
+        if modes and choice.beside:
+            raise InputError(f"body: beside must be empty with modes, got {choice.beside!r}; compare one at a time")
         if modes not in (NO_MODES, *self._modes_offered):
             allowed = ", ".join(map(str, self._modes_offered or (NO_MODES,)))
             raise InputError(f"body: modes must be one of {allowed} for this body, got {modes}; choose one of these")
@@ -112,44 +123,50 @@ class BodyMenu:
             if self._state == PREPARING or self._has_next:
                 raise InputError("body must wait for the one that is being prepared, got another; send it again later")
             self._state, self._note = PREPARING, ""
-            self._thread = threading.Thread(target=self._make, args=(law, modes), name="palpate body", daemon=True)
+            self._thread = threading.Thread(target=self._make, args=(choice,), name="palpate body", daemon=True)
             self._thread.start()
 
-    def _make(self, law: str, modes: int) -> None:
+    def _make(self, choice: Choice) -> None:
         try:
-            session = self._session(law, modes)
+            session = self._session(choice)
         except Exception as error:  # of the law or the training; the body that is shown stays
             reason = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
             with self._lock:
                 self._state, self._note, self._progress = FAILED, reason, dict
-            self._console.say(f"no body of the law {law} was made: {reason}")
+            self._console.say(f"no body of the law {choice.law} was made: {reason}")
             return
         with self._lock:
-            self._next, self._has_next, self._progress = (session, law, modes), True, dict
+            self._next, self._has_next, self._progress = (session, choice), True, dict
 
-    def _session(self, law: str, modes: int) -> Session:
-        """Return the session of a body, of a reduced model and its full body if there are modes."""
+    def _session(self, choice: Choice) -> Session:
+        """Return the session of a body, with a reduced model or a body of another law if these are chosen."""
+        body, foundations = self._body(choice.law)
+        title, end = self._scene.title, self._scene.held_group
+        session: Session
+        if choice.modes:
+            session = Comparison(self._reduced(self._scene_of(choice.law), choice.modes), body, title)
+        elif choice.beside:
+            session = Comparison(body, self._body(choice.beside)[0], title, end=end)
+        else:
+            session = Session(body, title, foundations=foundations, end=end)
+        session.subtitle, session.notes = self._shown.subtitle, self._shown.notes
+        return session
+
+    def _body(self, law: str) -> tuple[Any, Any]:
+        """Return the full body of a law and its springs; its engine is compiled."""
         scene = self._scene_of(law)
-        preparation = Preparation(scene.title, f"law {law}{' reduced' if modes else ''}")
+        preparation = Preparation(scene.title, f"law {law}")
         try:
             if not preparation.code_is_compiled and law != self._scene.description.tissue.law:
                 self._begin(preparation, "compiling, once for this computer")
                 with compile_ahead(compile_engine, written_section(scene.description.tissue)) as wait:
                     wait()
             self._begin(preparation, "making the body")
-            body: Any = scene.body
-            reduced = self._reduced(scene, modes) if modes else None
-            self._begin(preparation, "preparing the engine")
-            title = self._scene.title
-            if reduced is not None:
-                session: Session = Comparison(reduced, body, title)
-            else:
-                session = Session(body, title, foundations=scene.foundations, end=scene.held_group)
+            made = scene.body, scene.foundations
             preparation.end()
         finally:
             preparation.close()
-        session.subtitle, session.notes = self._shown.subtitle, self._shown.notes
-        return session
+        return made
 
     def _begin(self, preparation: Preparation, phase: str) -> None:
         """Begin a phase of a preparation, whose progress is that of this menu."""
@@ -191,8 +208,8 @@ class BodyMenu:
         with self._lock:
             if not self._has_next:
                 return None
-            session, self._law, self._modes = self._next
-            self._trained = self._is_trained(self._law)
+            session, self._chosen = self._next
+            self._trained = self._is_trained(self._chosen.law)
             session.continue_from(latest(self._shown))
             self._shown, self._has_next, self._state = session, False, READY
             return session
