@@ -21,7 +21,7 @@ export class BodyMenu {
   constructor(byId, send) {
     Object.assign(this, { byId, send, message: null, mine: false });
     byId("law").onchange = ({ target }) => this.ask({ law: target.value });
-    byId("beside").onchange = ({ target }) => this.ask({ beside: target.value, modes: 0 });
+    byId("second").onchange = ({ target }) => this.ask({ second: target.value, modes: 0 });
   }
 
   /** Hide the menu until the session says what it has. */
@@ -30,9 +30,9 @@ export class BodyMenu {
   }
 
   ask(part) {
-    const { law, beside, shown_modes: modes } = this.message;
+    const { law, second, shown_modes: modes } = this.message;
     if (part.modes !== undefined) this.markModes(String(part.modes));
-    this.send({ type: "body", law, modes, beside, ...part });
+    this.send({ type: "body", law, modes, second, ...part });
   }
 
   /** Show a message `bodies`. */
@@ -46,7 +46,7 @@ export class BodyMenu {
     byId("modes-part").hidden = modes.length === 0;
     if (message.state !== "preparing") {
       Object.assign(byId("law"), { value: law }); // else the choice stays
-      Object.assign(byId("beside"), { value: message.beside });
+      Object.assign(byId("second"), { value: message.second });
       this.markModes?.(String(message.shown_modes));
     }
     byId("law-text").textContent = laws.find(({ name }) => name === byId("law").value)?.text ?? "";
@@ -64,9 +64,9 @@ export class BodyMenu {
   build({ laws, modes }) {
     const { byId } = this;
     byId("law").replaceChildren(...laws.map(({ name }, k) => new Option(k ? lawName(name) : `${lawName(name)} (as opened)`, name)));
-    byId("beside").replaceChildren(new Option("None", ""), ...laws.map(({ name }) => new Option(lawName(name), name)));
+    byId("second").replaceChildren(new Option("None", ""), ...laws.map(({ name }) => new Option(lawName(name), name)));
     const items = modes.map((count) => [String(count), count ? String(count) : "None"]);
-    this.markModes = modes.length ? choice(byId("modes"), items, (value) => this.ask({ modes: Number(value), beside: "" })) : null;
+    this.markModes = modes.length ? choice(byId("modes"), items, (value) => this.ask({ modes: Number(value), second: "" })) : null;
   }
 
   /** Enable the menu for the driver. */
@@ -77,6 +77,6 @@ export class BodyMenu {
 
   enable() {
     const idle = this.mine && this.message?.state !== "preparing";
-    for (const input of [this.byId("law"), this.byId("beside"), ...this.byId("modes").children]) input.disabled = !idle;
+    for (const input of [this.byId("law"), this.byId("second"), ...this.byId("modes").children]) input.disabled = !idle;
   }
 }

@@ -49,8 +49,8 @@ def choose(shown):
     """A function that chooses in the menu, and returns the session that is shown next."""
     menu = shown[1]
 
-    def made(law="MooneyRivlin", modes=0, beside=""):
-        menu.handle(validate_message({"type": "body", "law": law, "modes": modes, "beside": beside}))
+    def made(law="MooneyRivlin", modes=0, second=""):
+        menu.handle(validate_message({"type": "body", "law": law, "modes": modes, "second": second}))
         end = time.monotonic() + COMPILE_SECONDS
         while (source := menu.next_source()) is None:
             assert menu.message()["state"] == "preparing", menu.message()["note"]
@@ -84,8 +84,8 @@ def test_forceps_at_the_end_hold_all_of_it_and_those_elsewhere_do_not(shown, unt
     displacements = session.snapshot().displacements(session.surface)
     end = session.hello()["end"]
     np.testing.assert_allclose(displacements[end], np.tile([AWAY, 0, 0], (len(end), 1)), atol=2e-5)
-    beside = np.setdiff1d(np.arange(len(displacements)), end)
-    assert displacements[beside, 0].max() < 0.95 * AWAY  # as a bar that is stretched
+    second = np.setdiff1d(np.arange(len(displacements)), end)
+    assert displacements[second, 0].max() < 0.95 * AWAY  # as a bar that is stretched
     assert session.status()["end_tools"] == [0]
     session.release()
     middle = {"type": "tool", "kind": "grasp", "radius": 0.008, "position": [0.03, 0.01, 0.02]}
@@ -142,7 +142,7 @@ def test_a_reduced_model_and_its_full_body_have_the_same_end_and_nearly_the_same
 
 
 def test_two_laws_are_pulled_side_by_side(choose, until):
-    both = choose(beside="NeoHookean")
+    both = choose(second="NeoHookean")
     assert isinstance(both, Comparison)
     assert both.hello()["compared"] == ["MooneyRivlin", "NeoHookean"]
     both.handle(validate_message({"type": "pose", "position": [END + 0.02, 0.01, 0.01], "sequence": 1}))
@@ -159,8 +159,8 @@ def test_choices_that_a_body_does_not_have_are_refused(scene):
     for choice, reason in (
         ({"law": "Hooke"}, "law must be one of"),
         ({"law": "Ogden", "modes": 5}, "modes must be one of"),
-        ({"law": "Ogden", "beside": "Hooke"}, "beside must be one of"),
-        ({"law": "Ogden", "modes": 4, "beside": "Gent"}, "beside must be empty"),
+        ({"law": "Ogden", "second": "Hooke"}, "second must be one of"),
+        ({"law": "Ogden", "modes": 4, "second": "Gent"}, "second must be empty"),
     ):
         with pytest.raises(InputError, match=reason):
             menu.handle(validate_message({"type": "body", **choice}))

@@ -218,13 +218,13 @@ def test_a_stopped_training_says_nothing_about_the_next(refining, until):
 @pytest.mark.parametrize("action", ["stop", "use"])
 def test_actions_of_another_state_are_refused(refining, action):
     with pytest.raises(InputError, match=f"got '{action}'"):
-        refining[0].handle(action)
+        refining[0].handle({"action": action})
 
 
 def test_viewers_stay_and_a_recording_is_saved_when_the_model_takes_over(refining, full, until, model_path, site_of):
     refinement, trainers = refining
     site = site_of(full)
-    site.loop.call_soon_threadsafe(site.server.show, full, refinement)
+    site.loop.call_soon_threadsafe(site.server.show, full, {"refine": refinement})
 
     async def visit():
         async with site.client() as client:
@@ -252,7 +252,7 @@ def test_viewers_stay_and_a_recording_is_saved_when_the_model_takes_over(refinin
 
 def test_only_the_driver_starts_a_refinement(refining, full, site_of):
     site = site_of(full)
-    site.loop.call_soon_threadsafe(site.server.show, full, refining[0])
+    site.loop.call_soon_threadsafe(site.server.show, full, {"refine": refining[0]})
 
     async def visit():
         async with site.client(), site.client() as second:

@@ -81,7 +81,9 @@ class GroupBody(SessionBody):
         self.group = group
         centre = model.cloud.points[model.cloud.group(group)].mean(axis=0)
         self.home[: len(centre)] = centre
-        self._forceps = None if isinstance(model, ReducedModel) else forceps_of_group(model.cloud, group)
+        self.is_full = not isinstance(model, ReducedModel)
+        self.recording_interval = FULL_INTERVAL if self.is_full else RECORDING_INTERVAL
+        self._forceps = forceps_of_group(model.cloud, group) if self.is_full else None
         if self._forceps is not None:
             self.change_tool(self.idle_tool, np.concatenate([self.home, NO_ROTATION]), 0)
 

@@ -28,7 +28,7 @@ from palpate.scenes.tissue import material_of, of_law, offered_laws, parameters_
 
 JOIN_SECONDS = 2.0  # [s] in which a body that is being made may end
 NO_MODES = 0  # of the full body alone
-PREPARING, READY, FAILED = "preparing", "ready", "failed"
+BODY_PREPARING, BODY_READY, BODY_FAILED = "preparing", "ready", "failed"
 
 
 def make_trainer(scene: Scene) -> Trainer:
@@ -48,7 +48,7 @@ class Choice(NamedTuple):
 
     law: str
     modes: int = NO_MODES  # of a reduced model next to the full body
-    beside: str = ""  # law of a second body
+    second: str = ""  # law of a second body
 
 
 class BodyMenu:
@@ -64,7 +64,7 @@ class BodyMenu:
         self._scene, self._console, self._train = scene, console, train
         self._cloud, self._shown = session.model.cloud, session
         self._chosen = Choice(scene.description.tissue.law)
-        self._state, self._note = READY, ""
+        self._state, self._note = BODY_READY, ""
         self._progress: Callable[[], dict[str, Any]] = dict
         self._lock, self._next = threading.Lock(), (session, self._chosen)
         self._has_next, self._closed = False, False
@@ -102,7 +102,7 @@ class BodyMenu:
         with self._lock:
             progress = {"phase": None, "fraction": None, "seconds_left": None, **self._progress()}
             return {
-                "type": "bodies", "laws": self._laws, "law": self._chosen.law, "beside": self._chosen.beside,
+                "type": "bodies", "laws": self._laws, "law": self._chosen.law, "second": self._chosen.second,
                 "modes": self._modes_offered, "shown_modes": self._chosen.modes, "trained": self._trained,
                 "state": self._state, **progress, "note": self._note,
             }  # fmt: skip
@@ -111,20 +111,24 @@ class BodyMenu:
         """Begin to make the body of a message ``body``, with a law, and a number of modes or a second law."""
         choice = Choice(*(message[name] for name in Choice._fields))
         modes, names = choice.modes, [each["name"] for each in self._laws]
-        for name in ("law", "beside") if choice.beside else ("law",):
+        for name in ("law", "second") if choice.second else ("law",):
             if (given := message[name]) not in names:
                 raise InputError(f"body: {name} must be one of {', '.join(names)}, got {given!r}; choose one of these")
-        if modes and choice.beside:
-            raise InputError(f"body: beside must be empty with modes, got {choice.beside!r}; compare one at a time")
+        if modes and choice.second:
+            raise InputError(f"body: second must be empty with modes, got {choice.second!r}; compare one at a time")
         if modes not in (NO_MODES, *self._modes_offered):
             allowed = ", ".join(map(str, self._modes_offered or (NO_MODES,)))
             raise InputError(f"body: modes must be one of {allowed} for this body, got {modes}; choose one of these")
         with self._lock:
-            if self._state == PREPARING or self._has_next:
+            if self._state == BODY_PREPARING or self._has_next:
                 raise InputError("body must wait for the one that is being prepared, got another; send it again later")
-            self._state, self._note = PREPARING, ""
+            self._state, self._note = BODY_PREPARING, ""
             self._thread = threading.Thread(target=self._make, args=(choice,), name="palpate body", daemon=True)
             self._thread.start()
+
+    def compare(self, modes: int) -> None:
+        """Begin to make a reduced model with a number of modes, next to the full body."""
+        self.handle({"law": self._chosen.law, "modes": modes, "second": ""})
 
     def _make(self, choice: Choice) -> None:
         try:
@@ -132,7 +136,7 @@ class BodyMenu:
         except Exception as error:  # of the law or the training; the body that is shown stays
             reason = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
             with self._lock:
-                self._state, self._note, self._progress = FAILED, reason, dict
+                self._state, self._note, self._progress = BODY_FAILED, reason, dict
             self._console.say(f"no body of the law {choice.law} was made: {reason}")
             return
         with self._lock:
@@ -145,8 +149,8 @@ class BodyMenu:
         session: Session
         if choice.modes:
             session = Comparison(self._reduced(self._scene_of(choice.law), choice.modes), body, title)
-        elif choice.beside:
-            session = Comparison(body, self._body(choice.beside)[0], title, end=end)
+        elif choice.second:
+            session = Comparison(body, self._body(choice.second)[0], title, end=end)
         else:
             session = Session(body, title, foundations=foundations, end=end)
         session.subtitle, session.notes = self._shown.subtitle, self._shown.notes
@@ -211,7 +215,7 @@ class BodyMenu:
             session, self._chosen = self._next
             self._trained = self._is_trained(self._chosen.law)
             session.continue_from(latest(self._shown))
-            self._shown, self._has_next, self._state = session, False, READY
+            self._shown, self._has_next, self._state = session, False, BODY_READY
             return session
 
     def close(self) -> None:

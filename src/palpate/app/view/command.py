@@ -204,10 +204,10 @@ def _show(
             preparation.end()
         makers: dict[str, Any] = {}
         if scene is not None and has_menu(scene):
-            makers["body"] = stack.enter_context(contextlib.closing(BodyMenu(scene, session, console)))
-        if scene is not None and scene.held_group and refine:
-            makers["body"].handle({"law": scene.description.tissue.law, "modes": scene.description.training.modes})
-        elif scene is not None and not scene.held_group:
+            menu = makers["body"] = stack.enter_context(contextlib.closing(BodyMenu(scene, session, console)))
+            if scene.held_group and refine:
+                menu.compare(scene.description.training.modes)
+        if scene is not None and not (scene.held_group and makers):
             makers["refine"] = stack.enter_context(contextlib.closing(Refinement(scene, session, console)))
             if refine or is_trained(scene):
                 makers["refine"].handle({"action": "start"})
