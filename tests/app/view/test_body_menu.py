@@ -115,6 +115,16 @@ def test_another_law_keeps_the_shape_and_the_tools_and_has_another_force(shown, 
     assert modulus == pytest.approx(session.model.material.shear_modulus, rel=1e-12)
 
 
+def test_a_body_that_a_ball_touches_begins_at_rest_with_another_law(shown, choose):
+    session, _ = shown
+    above = {"type": "tool", "kind": "sphere", "radius": 0.01, "position": [0.03, 0.01, 0.04]}
+    session.handle(validate_message(above))
+    other = choose("NeoHookean")
+    assert other.snapshot().tools[0].kind == "none"
+    assert other.tools[0].selected.kind == "sphere"
+    np.testing.assert_allclose(other.snapshot().coordinates, 0.0, atol=1e-6)
+
+
 def test_a_reduced_model_and_its_full_body_have_the_same_end_and_nearly_the_same_force(scene, choose, shown, until):
     _, menu = shown
     modes = compared_modes(scene)

@@ -328,8 +328,9 @@ class Session:
     def continue_from(self, former: Session) -> None:
         """Start in place of another session of the same body: with its selected tools, speed, moduli and pause.
 
-        Where both step the same solid, whatever its law, it keeps its shape, and the tools their poses. The other
-        session stops, and its recording is written. Its notifications are those of this session from now on.
+        Where both step the same solid, whatever its law, and forceps alone act on it, it keeps its shape and they their
+        poses. The other session stops, and its recording is written. Its notifications are those of this session from
+        now on.
         """
         self.recordings.continue_from(former.recordings)
         state, reason = former.engine.state, former.pause_reason
@@ -355,7 +356,12 @@ class Session:
             self.modulus_ratio = former.modulus_ratio
 
     def _steps_the_solid_of(self, former: Session) -> bool:
-        """Whether both sessions step a solid of the same nodes with tools of the same indices, that is not cut."""
+        """Whether both sessions step a solid of the same nodes, which is not cut, and forceps alone act on it.
+
+        The contact of another tool cannot begin with a body that it has deformed: steps would be too short.
+        """
+        if any(tool.active is not NO_TOOL and not isinstance(tool.active.shape, Forceps) for tool in former.tools):
+            return False
         solids = isinstance(self.model, EnergySolid) and isinstance(former.model, EnergySolid) and not former.body.cuts
         alike = solids and self.max_tools == former.max_tools
         return bool(alike and np.array_equal(self.model.cloud.points, former.model.cloud.points))
