@@ -82,13 +82,13 @@ export function forceReading({ newtons, bound, full, calibrated, beyond, through
   return { ...boundedForce(newtons, bound + (nodesError ?? 0) * newtons), note };
 }
 
-/** The forces [N] on the tool of a full and of a reduced model, and how they differ. */
-export function comparisonText(reduced, full) {
+/** The forces [N] on the tool of a reduced and of a full model, or of two other bodies by their names, and how they differ. */
+export function comparisonText(reduced, full, [first, second] = ["reduced", "full"]) {
   const difference = reduced - full;
   const share = full > 0.02 ? ` (${Math.round(100 * Math.abs(difference) / full)} %)` : "";
   const more = difference < 0 ? "less" : "more";
   const [own, other] = [reduced, full].map((newtons) => newtons.toFixed(2));
-  return `reduced ${own} N, full ${other} N: ${Math.abs(difference).toFixed(2)} N ${more}${share}`;
+  return `${first} ${own} N, ${second} ${other} N: ${Math.abs(difference).toFixed(2)} N ${more}${share}`;
 }
 
 /** The pace of a body's time, or "" in real time. */

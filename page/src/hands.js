@@ -26,7 +26,8 @@ export class Hands {
     const { tool } = this;
     this.slots = Array.from({ length: max }, emptySlot);
     this.inHand = 0;
-    this.tool = tool && (tools.includes(tool.kind) || tool.kind === "group") ? tool : null;
+    const fits = tool && (tools.length ? tools.includes(tool.kind) : tool.kind === "group");
+    this.tool = fits ? tool : null;
   }
 
   get several() {
@@ -77,7 +78,7 @@ export class Hands {
     descriptions.slice(0, this.max).forEach((given, index) => {
       const slot = this.slots[index];
       if (!given || given.kind === "none") return this.mark(slot, false);
-      const mine = this.page.driver() && (index === this.inHand || slot.press);
+      const mine = this.page.driver() && ((index === this.inHand && !given.pinned) || slot.press);
       if (!mine || given.kind === "group") slot.tool = { ...(slot.tool?.kind === given.kind && slot.tool), ...given };
       if (slot.tool?.kind === given.kind) slot.tool.outline = given.outline;
       this.mark(slot, Boolean(given.pinned));

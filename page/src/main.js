@@ -1,8 +1,11 @@
 // The page: connects the session with the scene, the input controls and the panel.
 import "./style.css";
 import { showBody } from "./aboutBody.js";
+import { BodyEnd } from "./bodyEnd.js";
+import { BodyMenu } from "./bodyMenu.js";
 import { HandList } from "./handList.js";
 import { Hands, titleOf } from "./hands.js";
+import { openHelp } from "./help.js";
 import { InputControls } from "./inputControls.js";
 import { LabelChoice } from "./labelChoice.js";
 import { Legend, updateScaleBar } from "./legend.js";
@@ -29,8 +32,10 @@ const statusLine = new StatusLine(byId);
 const meter = new FrameMeter();
 const legend = new Legend(byId);
 const preparation = new Preparation(byId);
+const bodyEnd = new BodyEnd(byId);
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
+const END_ROOM = 1.15; // for an end that is pulled
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
 const HOVER_INTERVAL = 50; // [ms] between two looks for a shape under the mouse
 const UNDO_TIME = 3000; // [ms] after an undo within which a body that starts from rest does so because of it
@@ -87,7 +92,7 @@ const hands = new Hands({
 
 let lastKind = ""; // of the last press
 let undone = null; // after a cut was taken back: the time of the body then [s], and the page's [ms]
-let scene, controls, hints, handList, plots, panel, transport, refinement, surroundings, choice, connection;
+let scene, controls, hints, handList, plots, panel, transport, refinement, bodyMenu, surroundings, choice, connection;
 
 function start() {
   try {
@@ -108,6 +113,7 @@ function start() {
     if (message.action === "reset") hands.reset();
   });
   refinement = new Refinement(byId, send);
+  bodyMenu = new BodyMenu(byId, send);
   surroundings = new SurroundingsPanel(byId, scene.fine, (shown) => scene.showSurroundings(shown), mark);
   choice = new LabelChoice(byId, send);
   hints = new ToolHints(byId("hint"), byId("sizes"));
@@ -122,7 +128,7 @@ function start() {
     plots.draw(performance.now(), true);
   });
   byId("drive").onclick = () => send({ type: "drive" });
-  byId("help-open").onclick = () => byId("help").showModal();
+  byId("help-open").onclick = help;
   byId("overlay").onchange = () => {
     scene.overlay.lines.visible = byId("overlay").checked;
     scene.dirty = true;
@@ -173,10 +179,13 @@ const answers = {
     for (const press of [...controls.presses]) controls.release(press); // of the body that was shown
     session.hello = message;
     session.space = message.space;
-    session.status = { driver: false, viewers: message.viewers, state: "running", speed: 1 };
+    session.status = { end_tools: message.end_tools, driver: false, viewers: message.viewers, state: "running", speed: 1 };
     offerDepth(message);
     hands.offer(message, initialTools(message));
     refinement.offer();
+    bodyMenu.offer();
+    bodyEnd.offer(message);
+    scene.room = message.end ? END_ROOM : 1;
     showBody(byId, message);
     document.body.classList.toggle("replaying", replaying());
     const [low, high] = message.bounds;
@@ -195,6 +204,7 @@ const answers = {
     if (undone && message.strokes < session.status.strokes) statusLine.announce("The last cut is undone.");
     Object.assign(session.status, message);
     hands.adopt(message.all_tools ?? [message.tool]);
+    bodyEnd.status(session.status);
     if (message.devices) hands.devices = new Map(message.devices);
     panel.materials(message.materials);
     if (driver() && !before && scene.body?.count === session.hello.vertices) hands.start();
@@ -222,6 +232,7 @@ const answers = {
       statusLine.announce("The finer model is in use.");
     }
   },
+  bodies: (message) => bodyMenu.show(message),
   recorded: ({ file, frames }) => statusLine.showToast(`${frames} frames recorded in ${file}`),
 };
 
@@ -299,12 +310,17 @@ function showStatus() {
   panel.status({ tool: session.tool, driver: driver(), fast: status.fast }, replaying());
   transport.status(status, driver());
   refinement.status(driver());
+  bodyMenu.status(driver());
   handList.show(driver());
   hints.show(driver() && session.state ? session.tool?.kind : null);
   scene.dirty = true;
 }
 
 // input of the user
+
+function help() {
+  openHelp(byId, session.hello, Boolean(scene?.surroundings));
+}
 
 function choose(kind) {
   if (kind === session.tool.kind || !driver()) return;
@@ -360,7 +376,7 @@ function key(event) {
   const field = event.target.matches?.("input, select, button");
   if (field && [" ", "Enter", "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"].includes(event.key)) return;
   const kinds = session.hello?.tools ?? [];
-  const meanings = { r: () => transport.reset(), p: () => transport.pause(), h: () => driver() && controls.hold(), delete: () => controls.release(), f: () => scene.orbitCamera.reset(), s: () => surroundings.toggle(), escape: () => scene.surroundings && mark(-1), "?": () => byId("help").showModal() };
+  const meanings = { r: () => transport.reset(), p: () => transport.pause(), h: () => driver() && controls.hold(), delete: () => controls.release(), f: () => scene.orbitCamera.reset(), s: () => surroundings.toggle(), escape: () => scene.surroundings && mark(-1), "?": help };
   const meaning = meanings[event.key.toLowerCase()] ?? (kinds[event.key - 1] && (() => choose(kinds[event.key - 1])));
   if (meaning) meaning();
   else if (!scene.body || !controls.key(event)) return;
@@ -403,6 +419,7 @@ function showState(state, now, seconds) {
     undone = null;
   } else if (undone && now - undone.at > UNDO_TIME) undone = null;
   scene.body.update(state);
+  bodyEnd.update(scene.body);
   scene.body.setColourRange(session.scalar === "none" ? null : legend.updateRange(state, seconds));
   scene.dirty = true;
   const beyond = panel.judge(state);
@@ -424,10 +441,11 @@ function statesOf({ sequence, tool, force, newtons, position, quaternion, pose }
 /** A state with the force of the tool that is read. */
 const handState = (state) => ({ ...state, newtons: hands.state(hands.read).newtons });
 
-/** The depth [m] of the press in hand, as the session has it; null without one, and until the session answers its poses. */
+/** The depth [m] of the press in hand, as the session has it, or how far it has moved the end; null without one, and until the session answers its poses. */
 function pressDepth() {
   const { press } = controls;
   const tool = press && hands.state(press.index);
+  if (press && bodyEnd.holds(press.index)) return bodyEnd.moved;
   return tool && tool.kind !== "none" && tool.pose >= press.first ? press.depthAt(tool.position) : null;
 }
 
@@ -439,7 +457,8 @@ function updateReadings(now) {
   const shown = handState(session.state);
   panel.state(shown, session.fullNewtons);
   const held = hands.read === hands.inHand ? "" : `${titleOf(hands.read, hands.slots[hands.read].tool.kind)}, held`;
-  panel.press(airTime > AIR_TIME ? null : pressDepth(), shown.newtons, held);
+  panel.press(airTime > AIR_TIME ? null : pressDepth(), shown.newtons, held, controls.press && bodyEnd.holds(controls.press.index));
+  bodyEnd.show(hands.slots.map((slot) => slot.state), !panel.beyond && !panel.through);
   handList.show(driver());
   handList.update(panel.beyond);
 }

@@ -1,4 +1,5 @@
 // The panel: readings of the session, and settings.
+import { lawName } from "./bodyMenu.js";
 import { nameOf } from "./hands.js";
 import { choice, slider, formatNumber } from "./widgets.js";
 import { comparisonText, cutText, forceReading, isBeyond, pressReading, trustText } from "./forceText.js";
@@ -35,6 +36,8 @@ export class Panel {
     this.nodesError = hello.nodes_error;
     this.full = Boolean(hello.full);
     this.compare = Boolean(hello.compare);
+    this.compared = this.full ? hello.compared?.map(lawName) : undefined; // names of two laws
+    byId("overlay-name").textContent = this.compared?.[1] ?? "Full model";
     this.bound = undefined; // error bound of the force [N], null where it is not known
     this.beyond = this.through = false;
     this.readings = {};
@@ -125,9 +128,10 @@ export class Panel {
     return this.beyond;
   }
 
-  /** The force of a state in words; see `forceReading`. */
+  /** The force of a state in words; see `forceReading`. The force of a full model next to it shows an error that was not measured. */
   force({ newtons }) {
-    const { bound, full, beyond, through, nodesError } = this;
+    const { bound, full, beyond, through, nodesError, compare } = this;
+    if (compare && !this.trainingErrors) return forceReading({ newtons, calibrated: true, nodesError });
     return forceReading({ newtons, bound, full, beyond, through, nodesError, calibrated: Boolean(this.trainingErrors) });
   }
 
@@ -139,13 +143,16 @@ export class Panel {
     panel.scrollBy({ top: way, behavior: still ? "instant" : "smooth" });
   }
 
-  /** Show the depth [m] of the press in hand, null without one, or the name of the held tool whose force is shown. */
-  press(depth, newtons, name) {
+  /**
+   * Show the depth [m] of the press in hand, null without one, or the name of the held tool whose force is shown. The
+   * way of an end that is pulled has its own place.
+   */
+  press(depth, newtons, name, ofEnd = false) {
     const reading = pressReading(depth, newtons, !this.beyond && !this.through);
     this.write("depth", reading.depth);
     this.write("stiffness", reading.stiffness);
     this.write("held-name", name);
-    this.byId("depth-part").hidden = !reading.depth;
+    this.byId("depth-part").hidden = !reading.depth || ofEnd;
     this.byId("stiffness-part").hidden = !reading.stiffness;
   }
 
@@ -156,7 +163,7 @@ export class Panel {
     this.write("force", value);
     this.write("force-range", range && `(${range})`);
     this.write("force-note", note);
-    this.write("force-comparison", Number.isFinite(fullNewtons) ? comparisonText(state.newtons, fullNewtons) : "");
+    this.write("force-comparison", Number.isFinite(fullNewtons) ? comparisonText(state.newtons, fullNewtons, this.compared) : "");
     this.byId("force-section").classList.toggle("beyond", this.beyond || this.through);
     this.write("energy", (1e3 * (state.strain + state.kinetic)).toFixed(2));
     this.write("step", (1e3 * state.computing).toFixed(2));

@@ -120,6 +120,7 @@ export class Plots {
       byId("plot-depth").hidden = kind !== "depth";
     };
     this.mark("time");
+    this.nameDepth = (text) => (byId("plot-kind").lastElementChild.textContent = text);
     this.offerDepth = (offered) => {
       byId("plot-kind").hidden = !offered;
       if (!offered) this.mark("time");
@@ -165,9 +166,10 @@ export class Plots {
     this.depthStrip.plot.setData([[0, most(depths)], [0, most(forces)]]);
   }
 
-  /** Offer the force over the depth where a tool of a hello message has one. */
-  offer({ mode, tools }) {
-    this.offerDepth(mode !== "replay" && tools.some((kind) => kind === "sphere" || kind === "capsule"));
+  /** Offer the force over the depth where a tool of a hello message has one, or over the displacement of an end. */
+  offer({ mode, tools, end = null }) {
+    this.offerDepth(mode !== "replay" && (end !== null || tools.some((kind) => kind === "sphere" || kind === "capsule")));
+    this.nameDepth(end ? "over displacement" : "over depth");
   }
 
   /** Show the force over "time" or over "depth". */

@@ -5,6 +5,7 @@ import { depthAt, Growth } from "./pressDepth.js";
 
 const APPROACH_GAP = 0.008; // [m] between surface and tool at the start, so that the tool is outside the body
 const APPROACH_TIME = 0.07; // [s], time constant
+const FOLLOW_TIME = 0.04; // [s] in which the session moves a tool to a pose, at most
 const TOUCH_GAP = 3e-4; // [m] left of the approach at which a press begins to grow
 const TOUCH_FORCE = 2e-3; // [N] of a tool that has touched
 const SHORT_TIME = 0.5; // [s] in which a short click touches, at most
@@ -38,6 +39,7 @@ export class Press {
     this.grasps = tool.kind === "grasp" || tool.kind === "group";
     this.cuts = tool.kind === "scalpel";
     this.offset = new three.Vector3(); // along the surface; for forceps in any direction
+    this.turn = 0; // [rad] around the normal, of a prescribed group
     this.normal = hit.normal.clone();
     this.growth = this.grasps || this.cuts ? null : new Growth(Math.min(DEPTH_SHARE * tool.radius, CLICK_SHARE * scene.size));
     this.depth = this.growth?.light ?? (this.cuts ? tool.depth : 0);
@@ -102,6 +104,10 @@ export class Press {
   }
 
   get quaternion() {
+    if (this.tool.kind === "group") {
+      const { w, x, y, z } = new three.Quaternion().setFromAxisAngle(this.normal, this.turn);
+      return [w, x, y, z]; // from rest
+    }
     return turned(this.tool.kind, this.normal, this.along);
   }
 
@@ -160,6 +166,7 @@ export class Press {
   /** Turn the tool around the normal of the surface by an angle [rad]. */
   roll(angle, stamp) {
     this.along.applyAxisAngle(this.normal, angle);
+    this.turn += angle;
     this.send(stamp);
   }
 
@@ -193,8 +200,9 @@ export class Press {
     this.scene.dirty = true;
   }
 
-  /** Go on by a time [s], by the state of the session and of this tool. */
-  update(seconds, state, tool) {
+  /** Go on by a time [s], by the state of the session and of this tool; of a slow page by less, as a tool follows each pose within that. */
+  update(time, state, tool) {
+    const seconds = Math.min(time, FOLLOW_TIME);
     this.age += seconds;
     this.touched ||= tool.newtons > TOUCH_FORCE && tool.pose >= this.first;
     this.grow(seconds);

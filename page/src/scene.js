@@ -48,6 +48,7 @@ export class Scene {
     this.graph.add(this.shadow.plane, ...groups, this.ghost.group, this.marker.mesh);
     this.body = this.overlay = this.surroundings = null;
     this.edges = { planes: [], spacing: 0, shown: false }; // at which the image cuts the body off
+    this.room = 1; // around the body in the first view, over its size
     this.dirty = true;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     this.resize();
@@ -74,7 +75,9 @@ export class Scene {
     this.shadow.fit(this.body);
     this.body.preview = geometry.kind === 5;
     const grows = geometry.kind === 6 && before; // a cut: the view stays, as a blade is led in it
-    if (!same && !grows) this.orbitCamera.fitSphere(this.body.sphere, previewed || (before && isNear(before, this.body.sphere)));
+    const room = this.body.sphere.clone();
+    room.radius *= this.room;
+    if (!same && !grows) this.orbitCamera.fitSphere(room, previewed || (before && isNear(before, this.body.sphere)));
     this.dirty = true;
   }
 

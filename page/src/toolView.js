@@ -16,7 +16,7 @@ function showTool(scene, { index, tool, state: now, press, former, inHand }, bey
   const { tools, arrows, size } = scene;
   const there = press !== null || now.kind !== "none";
   const mark = tools[index];
-  mark.group.visible = Boolean(there && tool.kind !== "group" && size);
+  mark.group.visible = Boolean(there && size);
   if (!there) return;
   const mine = press && (!tool.stiffness || now.kind === "none");
   const [position, quaternion] = mine ? [press.position.toArray(), press.quaternion] : [now.position, now.quaternion];
@@ -28,7 +28,7 @@ function showTool(scene, { index, tool, state: now, press, former, inHand }, bey
   mark.keepInView(scene.camera);
   const ball = tool.kind === "sphere" || tool.kind === "capsule" ? tool.radius : 0;
   if (press && !mine && inHand) showPointer(scene, press, position);
-  if (now.kind !== "none" && !beyond) arrows[index].show(position, now.force, now.newtons, size, ball, tool.kind === "grasp");
+  if (now.kind !== "none" && !beyond) arrows[index].show(position, now.force, now.newtons, size, ball, tool.kind === "grasp" || tool.kind === "group");
 }
 
 /** Draw the pose of the pointer where a soft coupling separates it from the tool. */

@@ -298,6 +298,30 @@ class Engine(Described):
             elif running:
                 self._runner.start()
 
+    def set_shape(self, coordinates: Floats) -> None:
+        """Set the body to coordinates (m,) of another engine of it, without velocity; tools stay.
+
+        Raises
+        ------
+        InputError
+            There are more or fewer coordinates, or one that is not finite.
+        RuntimeError
+            The engine runs.
+        """
+        coordinates = np.asarray(coordinates, dtype=float)
+        if coordinates.shape != self._rest.shape or not np.isfinite(coordinates).all():
+            raise InputError(
+                f"coordinates must be {len(self._rest)} finite numbers, got {brief(coordinates)}; use those of an "
+                "engine of the same body"
+            )
+        with self._lock:
+            if self._runner.state == RUNNING:
+                raise RuntimeError("the engine must be paused for set_shape, got a running one; call pause() first")
+            self._work.q[:], self._work.v[:] = coordinates, 0.0
+            first = record_size(0, len(self._work.tool))
+            self._work.record[first : first + len(coordinates)] = coordinates
+            publish(self._channels.record, self._work.record)
+
     def exchange(self, data: Any) -> None:
         """Swap the data: former name of `swap_data`."""
         warn_renamed("Engine.exchange", "Engine.swap_data")

@@ -109,6 +109,16 @@ class Scene(Described):
         scene.take_surface(self)
         return scene
 
+    def with_tissue(self, cloud: Cloud | None = None, **changes: Any) -> Scene:
+        """Return the scene with other settings of its tissue, such as ``law="Ogden"``, and its nodes if known."""
+        about = replace(self.description, tissue=replace(self.description.tissue, **changes))
+        scene = Scene(about, self.folder, self.name, self.settings)
+        scene.subtitle = self.subtitle
+        scene.take_surface(self)
+        if cloud is not None:
+            vars(scene)["cloud"] = cloud
+        return scene
+
     def take_surface(self, other: Scene) -> None:
         """Take the surface of a scene with the same file, if that scene has read it, so that it is read once."""
         if "surface" in vars(other):

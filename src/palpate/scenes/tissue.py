@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -16,6 +17,7 @@ from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.liver import SHEAR_MODULUS
 from palpate.tissue.materials import Material
 from palpate.tissue.prony import Prony
+from palpate.tissue.small_strain import LinearElastic
 from palpate.tissue.symbolic_law import Hyperelastic
 
 
@@ -41,6 +43,48 @@ def material_of(tissue: Tissue, changes: Mapping[str, Any] | None = None) -> Mat
     if law.name == "NeoHookean":
         parameters["C1"] = SHEAR_MODULUS / 2
     return law.kind(**base, **parameters | _parameters(law, values))
+
+
+def offered_laws(tissue: Tissue) -> tuple[str, ...]:
+    """Return the names of the laws that a tissue may have in place of its own, that first; none for a text."""
+    if tissue.energy:
+        return ()
+    special = tissue.volumetric != "quadratic" or tissue.split != "coupled"  # which small strain does not have
+    others = (law.name for law in LAWS if law.name != tissue.law and not (special and law.kind is LinearElastic))
+    return (tissue.law, *others)
+
+
+def of_law(tissue: Tissue, name: str) -> Tissue:
+    """Return a tissue of another law with the same shear modulus and Poisson's ratio at rest.
+
+    The parameters are those of the law's example in the catalogue, with moduli scaled by one factor.
+    """
+    if name == tissue.law:
+        return tissue
+    law = _entry("law", name, LAWS)
+    example = law.kind(density=tissue.density, poisson=tissue.poisson, **law.example)
+    factor = material_of(tissue).shear_modulus / example.shear_modulus
+    units = {parameter.name: parameter.unit for parameter in law.parameters}
+
+    def scaled(key: str, value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(scaled(key, each) for each in value)
+        return factor * value if units[key] == "Pa" else value
+
+    return replace(tissue, law=name, parameters={key: scaled(key, value) for key, value in law.example.items()})
+
+
+def parameters_text(tissue: Tissue) -> str:
+    """Return the parameters of a tissue's law for people, such as ``C1 = 60 kPa, C2 = 1.2 kPa``."""
+    law, material = _entry("law", tissue.law, LAWS), material_of(tissue)
+    texts = []
+    for parameter in law.parameters:
+        value = getattr(material, parameter.name)
+        values = value if isinstance(value, tuple) else (value,)
+        in_unit = [1e-3 * each for each in values] if parameter.unit == "Pa" else values
+        unit = {"Pa": " kPa", "": ""}.get(parameter.unit, f" {parameter.unit}")
+        texts.append(f"{parameter.name} = {', '.join(f'{each:.3g}' for each in in_unit)}{unit}")
+    return "; ".join(texts)
 
 
 def fibres_of(fibre: Fibre) -> FibreLaw:

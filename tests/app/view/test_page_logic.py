@@ -506,3 +506,41 @@ def test_the_drawn_blade_is_narrow_behind_its_edge_and_tapers_to_its_point():
     assert 3.5e-3 < heights.max() < 6e-3
     behind = blade[:, 0] < -0.012
     assert heights[behind].max() < 0.6 * heights.max()
+
+
+def test_the_motion_of_an_end_is_the_mean_of_its_vertices():
+    body = "{ rest: [0, 0, 0, 1, 0, 0, 1, 1, 0], positions: [0, 0, 0, 1.3, 0, 0.1, 1.3, 1, 0.7] }"
+    motion = evaluate("bodyEnd.js", f"m.endMotion([1, 2], {body})")
+    assert motion["moved"] == pytest.approx(0.5)
+    assert motion["place"] == pytest.approx([1.3, 0.5, 0.4])
+    assert evaluate("bodyEnd.js", "m.forceOf([{ force: [1, 0, 2] }, { force: [2, 4, -2] }])") == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("hello", "has", "lacks"),
+    [
+        ("{ tools: ['sphere', 'scalpel'], max_tools: 4 }", {"press", "cut", "several", "choice"}, {"pull", "group"}),
+        ("{ tools: ['sphere'], max_tools: 1 }", {"press", "depth"}, {"choice", "several", "fingers", "cut"}),
+        ("{ tools: [], max_tools: 1 }", {"pull", "group", "live"}, {"press", "depth", "choice", "replay"}),
+        ("{ mode: 'replay', tools: ['sphere'], max_tools: 4 }", {"replay"}, {"press", "live", "several", "choice"}),
+    ],
+)
+def test_help_needs_what_the_session_has(hello, has, lacks):
+    facts = evaluate("help.js", f"m.helpFacts({hello}, false)")
+    assert {name for name, is_so in facts.items() if is_so} >= has
+    assert not any(facts[name] for name in lacks)
+
+
+@pytest.mark.parametrize(
+    ("message", "text", "share"),
+    [
+        ("state: 'ready'", "", None),
+        ("state: 'preparing', phase: '', seconds_left: null, fraction: null", "Starting …", None),
+        ("state: 'preparing', phase: 'compiling', seconds_left: 40, fraction: 0.2", "Compiling: about 40 s left", 0.2),
+        ("state: 'failed', note: 'no memory'", "This body could not be made: no memory", None),
+    ],
+)
+def test_the_menu_of_the_body_shows_what_is_done(message, text, share):
+    shown = evaluate("bodyMenu.js", f"m.menuProgress({{ {message} }})")
+    assert shown["text"].startswith(text)
+    assert shown.get("share") == share

@@ -110,7 +110,7 @@ def state(refinement):
 
 
 def finish(refinement, trainers, until, path, errors):
-    refinement.handle("start")
+    refinement.handle({"action": "start"})
     until(lambda: trainers)
     trainers[-1].given.put({"trained": str(path), "errors": errors})
     trainers[-1].given.put(None)
@@ -119,7 +119,7 @@ def finish(refinement, trainers, until, path, errors):
 
 def test_the_time_left_falls_between_two_reports(refining, until, monkeypatch):
     refinement, trainers = refining
-    refinement.handle("start")
+    refinement.handle({"action": "start"})
     until(lambda: trainers)
     trainers[0].given.put({"phase": "3 of 16 runs", "left": 100.0})
     until(lambda: refinement.message()["phase"] == "3 of 16 runs")
@@ -179,7 +179,7 @@ def test_a_poor_model_is_used_only_if_it_is_accepted(refining, until, model_path
     assert refinement.next_source() is None
     assert refinement.message()["errors"] == BAD
     assert not refinement.message()["good"]
-    refinement.handle("use")
+    refinement.handle({"action": "use"})
     assert refinement.next_source() is not None
 
 
@@ -191,26 +191,26 @@ def test_a_model_of_unmeasured_errors_does_not_take_over(refining, until, model_
 
 def test_a_failed_training_keeps_the_full_body_and_may_start_again(refining, full, until):
     refinement, trainers = refining
-    refinement.handle("start")
+    refinement.handle({"action": "start"})
     until(lambda: trainers)
     trainers[0].given.put({"failed": "organ.palpate is in use by a campaign that runs"})
     trainers[0].given.put(None)
     until(lambda: state(refinement) == "failed")
     assert "in use" in refinement.message()["note"]
     assert full.engine.state == "running"
-    refinement.handle("start")
+    refinement.handle({"action": "start"})
     until(lambda: len(trainers) == 2)
     assert state(refinement) == "training"
 
 
 def test_a_stopped_training_says_nothing_about_the_next(refining, until):
     refinement, trainers = refining
-    refinement.handle("start")
+    refinement.handle({"action": "start"})
     until(lambda: trainers)
-    refinement.handle("stop")
+    refinement.handle({"action": "stop"})
     assert trainers[0].stopped
     assert state(refinement) == "offered"
-    refinement.handle("start")
+    refinement.handle({"action": "start"})
     until(lambda: len(trainers) == 2)
     assert state(refinement) == "training"
 
@@ -218,13 +218,13 @@ def test_a_stopped_training_says_nothing_about_the_next(refining, until):
 @pytest.mark.parametrize("action", ["stop", "use"])
 def test_actions_of_another_state_are_refused(refining, action):
     with pytest.raises(InputError, match=f"got '{action}'"):
-        refining[0].handle(action)
+        refining[0].handle({"action": action})
 
 
 def test_viewers_stay_and_a_recording_is_saved_when_the_model_takes_over(refining, full, until, model_path, site_of):
     refinement, trainers = refining
     site = site_of(full)
-    site.loop.call_soon_threadsafe(site.server.show, full, refinement)
+    site.loop.call_soon_threadsafe(site.server.show, full, {"refine": refinement})
 
     async def visit():
         async with site.client() as client:
@@ -252,7 +252,7 @@ def test_viewers_stay_and_a_recording_is_saved_when_the_model_takes_over(refinin
 
 def test_only_the_driver_starts_a_refinement(refining, full, site_of):
     site = site_of(full)
-    site.loop.call_soon_threadsafe(site.server.show, full, refining[0])
+    site.loop.call_soon_threadsafe(site.server.show, full, {"refine": refining[0]})
 
     async def visit():
         async with site.client(), site.client() as second:

@@ -18,7 +18,8 @@ from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.core.faults import FileFormatError, InputError
 from palpate.core.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.storage.models import load
+from palpate.reduction.storage.models import load, save
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.names import SceneKind
 from palpate.scenes.scene import Scene
 from palpate.scenes.training import parameters_of, training_of
@@ -26,11 +27,39 @@ from palpate.scenes.training import parameters_of, training_of
 __all__ = ["held_out_means", "model_file", "trained_model", "training_folder"]
 
 MAX_WORKERS = 4
+FEW_MODES = (4, 8, 16)  # of the models of a held body that are compared, next to those of its scene
 
 
 def model_file(scene: Scene) -> Path:
     """Return the path of a scene's trained model, which may be missing."""
     return training_folder(scene) / MODEL_FILE
+
+
+def compared_modes(scene: Scene) -> tuple[int, ...]:
+    """Return the numbers of modes of the models of a scene whose tool holds a group, the fewest first."""
+    return tuple(sorted({*FEW_MODES, scene.description.training.modes}))
+
+
+def compared_file(scene: Scene, modes: int) -> Path:
+    """Return the path of the model of `train_compared` with a number of modes, which may be missing."""
+    return training_folder(scene) / f"modes-{modes}.rom"
+
+
+def train_compared(scene: Scene, console: Console, workers: int) -> None:
+    """Train models of all `compared_modes` on the training runs of a scene whose tool holds a group, and keep them.
+
+    They are compared with the full body, and have no errors on held-out runs.
+    """
+    folder = training_folder(scene)
+    check_folder(folder, "cache" if scene.kind is SceneKind.PACKAGE else "folder")
+    with campaign_of(scene, folder, console, workers) as campaign:
+        jobs = campaign.jobs(range(scene.description.training.paths), 0)
+        campaign.make_runs(jobs)
+        runs = [campaign.folder.file(job) for job in jobs]
+        for modes in compared_modes(scene):
+            with console.status(f"training {modes} modes on {len(runs)} runs"):
+                model = hyper_reduce(scene.body, runs, modes=modes, prescribed=scene.held_group)
+            save(model, compared_file(scene, modes))
 
 
 def trained_model(scene: Scene, console: Console, workers: int | None = None) -> ReducedModel:

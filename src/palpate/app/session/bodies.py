@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from palpate.app.recordings.recording import RECORDING_INTERVAL
-from palpate.app.session.tool_control import NO_TOOL, SelectedTool
+from palpate.app.session.tool_control import NO_ROTATION, NO_TOOL, SelectedTool, forceps_of_group
 from palpate.core.arrays import Floats
 from palpate.dynamics.contact.geometry import least_radius
 from palpate.dynamics.contact.shapes import TOOLS
@@ -78,19 +78,28 @@ class SessionBody:
 
 
 class GroupBody(SessionBody):
-    """A reduced model whose prescribed group is the tool."""
+    """A body of which a tool holds a group at all times: a reduced model, or a solid whose group is given."""
 
     tool_kinds = ()
     idle_tool = SelectedTool("group", None)
     max_tools = 1
 
-    def __init__(self, model: ReducedModel, realtime: RealtimeModel) -> None:
+    def __init__(self, model: Any, realtime: RealtimeModel, group: str) -> None:
         super().__init__(model, realtime)
-        centre = model.cloud.points[model.cloud.group(model.data.prescribed[0])].mean(axis=0)
+        self.group = group
+        centre = model.cloud.points[model.cloud.group(group)].mean(axis=0)
         self.home[: len(centre)] = centre
+        self.is_full = not isinstance(model, ReducedModel)
+        self.recording_interval = FULL_INTERVAL if self.is_full else RECORDING_INTERVAL
+        self._forceps = forceps_of_group(model.cloud, group) if self.is_full else None
+        if self._forceps is not None:
+            self.change_tool(self.idle_tool, np.concatenate([self.home, NO_ROTATION]), 0)
 
     def change_tool(self, tool: SelectedTool, pose: Floats, index: int) -> None:
-        """Keep the group."""
+        """Keep the group; forceps take it again."""
+        if self._forceps is not None:
+            assert self.realtime.change_tool is not None
+            self.realtime.change_tool(self._forceps, pose, 0.0, index)
 
 
 class FullBody(SessionBody):
@@ -177,11 +186,14 @@ def cut_statistics(surface: DisplaySurface) -> dict[str, float]:
     return {f"cut_{name}": value for name, value in measures._asdict().items()} if measures.area > 0.0 else {}
 
 
-def session_body(model: Any, foundations: Sequence[Foundation]) -> SessionBody:
-    """Return the body of a session with springs, prepared for the engine without a tool."""
-    realtime = idle_model(model, foundations, MAX_TOOLS)
+def session_body(model: Any, foundations: Sequence[Foundation], held: str = "") -> SessionBody:
+    """Return the body of a session with springs, prepared for the engine without a tool.
+
+    A tool holds the group `held` of a solid at all times.
+    """
+    realtime = idle_model(model, foundations, 1 if held else MAX_TOOLS)
+    if held or realtime.change_tool is None:
+        return GroupBody(model, realtime, held or model.data.prescribed[0])
     if isinstance(model, ReducedModel):
-        kind = GroupBody if realtime.change_tool is None else SessionBody
-    else:
-        kind = FullBody if realtime.cutter is None else CuttableBody
-    return kind(model, realtime)
+        return SessionBody(model, realtime)
+    return (FullBody if realtime.cutter is None else CuttableBody)(model, realtime)

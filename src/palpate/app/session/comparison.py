@@ -1,4 +1,4 @@
-"""A reduced model and its full body in one session, both under the same tools."""
+"""Two bodies in one session under the same tools: a reduced model and its full body, or solids of two laws."""
 
 from __future__ import annotations
 
@@ -26,20 +26,33 @@ SHARED_MESSAGES = (
 
 
 class Comparison(Session):
-    """The session of a reduced model, with the full body in a second engine.
+    """The session of a reduced model with the full body in a second engine, or of a solid with one of another law.
 
     Both have the same nodes and the same tools at the same poses, with a rigid coupling: the tools of two springs would
-    differ. Each body has its own clock. While one is slower than real time and the tool moves, the two are at different
+    differ. Of a model with a prescribed group, forceps hold that group of the full body; they hold the `end` of two
+    solids. Each body has its own clock. While one is slower than real time and the tool moves, the two are at different
     times.
     """
 
-    def __init__(self, model: ReducedModel, full_model: Model, title: str, rate: float = PERIODS_PER_SECOND) -> None:
-        if not isinstance(full_model, EnergySolid) or model.data.compliance is None:
+    def __init__(
+        self,
+        model: ReducedModel | EnergySolid,
+        full_model: Model,
+        title: str,
+        rate: float = PERIODS_PER_SECOND,
+        end: str = "",
+    ) -> None:
+        if isinstance(model, ReducedModel):
+            touched, groups = model.data.compliance is not None, model.data.prescribed
+        else:
+            touched, groups = not end, (end,)
+        if not isinstance(full_model, EnergySolid) or not (touched or len(groups) == 1):
             raise InputError(
-                "model must be of a solid that a tool touches to be compared, got another one; leave --compare out"
+                "model must be of a solid that a tool touches or holds to be compared, got another one; leave "
+                "--compare out"
             )
-        self.full = Session(full_model, title, rate)
-        super().__init__(model, title, rate)
+        self.full = Session(full_model, title, rate, end="" if touched else groups[0], held=not touched)
+        super().__init__(model, title, rate, end=end, held=bool(end))
         self.sessions = (self.full, self)
         self.full.speed_limit = self.speed_limit
         if not np.array_equal(self.full.surface.triangles, self.surface.triangles):
@@ -47,7 +60,11 @@ class Comparison(Session):
 
     def hello(self) -> dict[str, Any]:
         """Return the constant properties for `hello`."""
-        return {**super().hello(), "overlay": True, "compare": True, "least_radius": self.full.body.least_radius}
+        names = ["reduced", "full"]
+        if isinstance(self.model, EnergySolid):
+            names = [type(each.model.material).__name__ for each in (self, self.full)]
+        about = {"overlay": True, "compare": True, "compared": names, "least_radius": self.full.body.least_radius}
+        return {**super().hello(), **about}
 
     def statistics(self) -> dict[str, Any]:
         """Return the statistics of the reduced model, with the pace of the slower body."""
@@ -58,6 +75,10 @@ class Comparison(Session):
         """Return positions (n, 3) [m] of the full body, and the force (3,) [N] on its tool."""
         snapshot = self.full.snapshot()
         return OverlayState(self.full.surface.rest + snapshot.displacements(self.full.surface), snapshot.tools[0].force)
+
+    def _steps_the_solid_of(self, former: Session) -> bool:
+        """Whether the shape of another session is kept: both bodies begin at rest."""
+        return False
 
     @property
     def tool_kinds(self) -> list[str]:

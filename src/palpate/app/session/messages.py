@@ -181,6 +181,7 @@ FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
     "record": {"action": (_one_of("start", "stop"), REQUIRED_FIELD)},
     "replay": {"action": (_one_of("play", "pause", "seek"), REQUIRED_FIELD), "time": (_number(0.0, 1e6), 0.0)},
     "choose": {"parts": (_texts, REQUIRED_FIELD), "without": (_texts, ())},
+    "body": {"law": (_text, REQUIRED_FIELD), "modes": (_whole_number, 0), "second": (_text, "")},
     "refine": {"action": (_one_of("start", "stop", "use"), REQUIRED_FIELD)},
     "force": {"rate": (_rate, REQUIRED_FIELD), "tools": (_indices, (0,))},
     "latency": {"stamp": (_stamp, None)},

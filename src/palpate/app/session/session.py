@@ -23,7 +23,7 @@ from palpate.app.recordings.snapshot import (
     training_errors,
 )
 from palpate.app.recordings.snapshot_arrays import coordinates_type
-from palpate.app.session.bodies import session_body
+from palpate.app.session.bodies import GroupBody, session_body
 from palpate.app.session.messages import MAX_COORDINATE, Message, describe_tools
 from palpate.app.session.recordings import SessionRecordings
 from palpate.app.session.tool_control import (
@@ -34,6 +34,7 @@ from palpate.app.session.tool_control import (
     ToolState,
     ToolWorkspace,
     check_clear,
+    forceps_of_group,
     make_forceps,
     selected_tool,
 )
@@ -44,6 +45,7 @@ from palpate.dynamics.contact.shapes import Forceps, Tool, make_tool, tool_param
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.realtime.bodies.display_surface import DisplaySurface, places_at_rest
 from palpate.realtime.engine import Engine
 from palpate.realtime.instrumented import Observation, make_instrumented
@@ -70,8 +72,9 @@ class Session:
     """A reduced model or a full body in an `Engine` of a rate [Hz], with the tools of a user by index.
 
     A reduced model has tool contact, or one prescribed group. `foundations` are springs between the body and the
-    ground. The engine's black box stores a duration `history` [s]; its file `black_box` is written if the state
-    diverges.
+    ground. Forceps hold all of the group `end` of a solid, where they grasp it; with `held` they never let go of it,
+    and are the only tool. The engine's black box stores a duration `history` [s]; its file `black_box` is written if
+    the state diverges.
 
     Messages must come from one thread at a time; `snapshot` may be called from any thread.
     """
@@ -86,6 +89,8 @@ class Session:
         foundations: Sequence[Foundation] = (),
         history: float = HISTORY_SECONDS,
         black_box: Path | None = None,
+        end: str = "",
+        held: bool = False,
     ) -> None:
         farthest = float(np.abs(model.cloud.points).max()) + WORKSPACE_MARGIN
         if farthest > MAX_COORDINATE:
@@ -94,7 +99,9 @@ class Session:
                 f"got {farthest - WORKSPACE_MARGIN:.4g} m; move the surface"
             )
         self.model, self.title, self.rate = model, title, rate
-        self.body = session_body(model, foundations)
+        self.body = session_body(model, foundations, end if held else "")
+        self.end = end or (self.body.group if isinstance(self.body, GroupBody) else "")
+        self._end_forceps = forceps_of_group(model.cloud, end) if end and not held else None
         self.surface = self.body.surface
         self._workspace = ToolWorkspace(self.surface)
         idle = self.body.idle_tool
@@ -165,8 +172,23 @@ class Session:
             "full": self.body.is_full,
             "least_radius": self.body.least_radius, "tool_speed": self.speed_limit,
             "subtitle": self.subtitle, "notes": list(self.notes),
+            "end": self._end_vertices(), "end_tools": self._end_tools(),
             **describe_tools(self.tool_kinds),
         }  # fmt: skip
+
+    def _end_vertices(self) -> list[int] | None:
+        """Return the vertices of the end that forceps pull; None of a body without one."""
+        if not self.end:
+            return None
+        vertices: list[int] = np.flatnonzero(np.isin(self.surface.nodes, self.model.cloud.group(self.end))).tolist()
+        return vertices
+
+    def _end_tools(self) -> list[int]:
+        """Return the indices of the tools that hold the end."""
+        if isinstance(self.body, GroupBody):
+            return [0]
+        end = self._end_forceps
+        return [index for index, tool in enumerate(self.tools) if end is not None and tool.active.shape == end]
 
     def _materials(self) -> list[dict[str, Any]]:
         return material_sliders(self.model, self.modulus_ratio)
@@ -194,6 +216,7 @@ class Session:
             "strokes": self.body.strokes,
             "fast": self.fast, "pause_reason": self.pause_reason, "recording": self.recordings.is_active,
             "materials": self._materials(), "devices": [[index, name] for index, name in sorted(self.devices.items())],
+            "end_tools": self._end_tools(),
         }  # fmt: skip
 
     def statistics(self) -> dict[str, Any]:
@@ -235,8 +258,10 @@ class Session:
 
     @property
     def tool_kinds(self) -> list[str]:
-        """Kinds of tools that a user may select."""
-        return list(self.body.tool_kinds)
+        """Kinds of tools that a user may select, forceps first for a body whose end they pull."""
+        return (
+            sorted(self.body.tool_kinds, key=lambda kind: kind != "grasp") if self.end else list(self.body.tool_kinds)
+        )
 
     @property
     def max_tools(self) -> int:
@@ -307,12 +332,24 @@ class Session:
     def continue_from(self, former: Session) -> None:
         """Start in place of another session of the same body: with its selected tools, speed, moduli and pause.
 
-        The other session stops, and its recording is written. Its notifications are those of this session from now
-        on.
+        Where both step the same solid, whatever its law, and forceps alone act on it, it keeps its shape and they their
+        poses. The other session stops, and its recording is written. Its notifications are those of this session from
+        now on.
         """
         self.recordings.continue_from(former.recordings)
         state, reason = former.engine.state, former.pause_reason
         former.stop()
+        for each in self.sessions:
+            each._take_settings(former)
+        if self._steps_the_solid_of(former):
+            self._take_shape(former)
+        self.devices, former.devices, former.successor = former.devices, {}, self
+        self.start()
+        if state != "running":
+            self.pause(reason)
+
+    def _take_settings(self, former: Session) -> None:
+        """Take the selected tools, the speed and the moduli of another session."""
         for tool, before in zip(self.tools, former.tools, strict=False):
             if before.selected.kind in self.tool_kinds:
                 tool.selected = before.selected
@@ -321,10 +358,30 @@ class Session:
         if former.modulus_ratio != 1.0 and self._materials():
             self.engine.set_modulus_ratio(former.modulus_ratio)
             self.modulus_ratio = former.modulus_ratio
-        self.devices, former.devices, former.successor = former.devices, {}, self
-        self.start()
-        if state != "running":
-            self.pause(reason)
+
+    def _steps_the_solid_of(self, former: Session) -> bool:
+        """Whether both sessions step a solid of the same nodes, which is not cut, and forceps alone act on it.
+
+        The contact of another tool cannot begin with a body that it has deformed: steps would be too short.
+        """
+        if any(tool.active is not NO_TOOL and not isinstance(tool.active.shape, Forceps) for tool in former.tools):
+            return False
+        solids = isinstance(self.model, EnergySolid) and isinstance(former.model, EnergySolid) and not former.body.cuts
+        alike = solids and self.max_tools == former.max_tools
+        return bool(alike and np.array_equal(self.model.cloud.points, former.model.cloud.points))
+
+    def _take_shape(self, former: Session) -> None:
+        """Take the shape of the body of another session, at rest, and its tools at their poses."""
+        reading, shown = former.engine.read(), former.snapshot().tools
+        self.engine.set_shape(reading.coordinates)
+        self._instrumented.set_state(reading.coordinates, np.zeros((self.max_tools, 3)))
+        for index, before in enumerate(former.tools):
+            if before.active is NO_TOOL or before.active.kind not in self.tool_kinds:
+                continue
+            now, device = shown[index], reading.tools[index]
+            self._set_tool(index, before.active, now.position, now.quaternion, device.sequence)
+            self.engine.set_pose(before.origin + device.position - now.position, NO_ROTATION, device.sequence, index)
+            self.tools[index].pinned = before.pinned
 
     def pause(self, reason: str | None = None) -> None:
         """Pause the engine of every body."""
@@ -496,7 +553,8 @@ class Session:
         with self._lock:
             if message["kind"] == "grasp":
                 displacements = self.snapshot().displacements(self.surface).astype(float)
-                shape, position = make_forceps(self.surface, displacements, position, message["radius"])
+                parts = self.surface, displacements, position, message["radius"], self._end_forceps
+                shape, position = make_forceps(*parts)
             else:
                 shape = make_tool(message["kind"], message)
             self._check_place(index, shape, position, quaternion)
@@ -571,6 +629,13 @@ class Session:
         state = self.tools[index]
         state.active, state.origin, state.rotation = tool, np.array(position), np.array(quaternion)
         state.since, state.pinned, state.epoch = self.engine.read().steps, False, state.epoch + 1
+
+
+def latest(session: Session) -> Session:
+    """Return the session that has taken the place of another one in the end, or that one."""
+    while session.successor is not None:
+        session = session.successor
+    return session
 
 
 def material_sliders(model: ReducedModel | NodalModel, ratio: float) -> list[dict[str, Any]]:

@@ -16,9 +16,11 @@ from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import compute_gaps
+from palpate.dynamics.contact.grip import grasped_nodes
 from palpate.dynamics.contact.overlap import tools_overlap
 from palpate.dynamics.contact.shapes import TOOLS, Forceps, Sphere, Tool, make_tool, tool_parameters
 from palpate.dynamics.contact.tools import Contact
+from palpate.meshfree.cloud import Cloud
 from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes, places_at_rest
 from palpate.realtime.record import ToolReading
 
@@ -26,6 +28,8 @@ PAGE_SHAPES = ("sphere", "capsule", "grasp", "scalpel")  # which page/src/toolGl
 WORKSPACE_MARGIN = 0.3  # [m] around the body
 POINT_RADIUS = 1e-6  # [m] of the point of a blade
 DRAWN_FORCEPS_SHARE = 0.3  # of the radius within which forceps hold nodes: of the ball as which they are drawn
+END_DISTANCES = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 64.0)  # spacings from an end to the centre of the ball that holds it
+TINY_LENGTH = 1e-12  # [m]
 MAX_PENETRATION = 0.25  # of a vertex into a tool that is put down, as a fraction of the spacing
 NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -97,13 +101,31 @@ def selected_tool(contact: Contact) -> SelectedTool:
     return SelectedTool(kind, contact.tool, contact.friction, parameters=parameters)
 
 
+def forceps_of_group(cloud: Cloud, group: str) -> Forceps:
+    """Return forceps that hold the nodes of a group, and no others: an end of the body.
+
+    They hold what is in a ball; its centre is the farther outside of the body, the flatter the end.
+    """
+    nodes = cloud.group(group)
+    centre, everywhere = cloud.points[nodes].mean(axis=0), np.ones(len(cloud), dtype=bool)
+    outward = centre - cloud.points.mean(axis=0)
+    outward /= max(float(np.linalg.norm(outward)), TINY_LENGTH)
+    for distance in END_DISTANCES:
+        point = centre + distance * cloud.spacing * outward
+        radius = float(np.linalg.norm(cloud.points[nodes] - point, axis=1).max())
+        forceps = Forceps(radius, tuple(map(float, point)), np.inf)
+        if radius and np.array_equal(grasped_nodes(cloud, forceps, everywhere), np.sort(nodes)):
+            return forceps
+    raise InputError(f"group must be an end of the body for forceps to hold it alone, got {group!r}; choose another")
+
+
 def make_forceps(
-    surface: DisplaySurface, displacements: Floats, position: Floats, radius: float
+    surface: DisplaySurface, displacements: Floats, position: Floats, radius: float, end: Forceps | None = None
 ) -> tuple[Forceps, Floats]:
     """Return forceps that grasp the deformed body, and their position (3,) [m].
 
     They grasp the vertex nearest to `position` (3,) [m] of the surface with displacements (n, 3) [m], and the nodes
-    within `radius` [m] around it, at rest.
+    within `radius` [m] around it, at rest. Near an `end` they are the forceps of that, which hold all of it.
     """
     model = surface.model
     vertices = surface.rest + displacements
@@ -119,6 +141,8 @@ def make_forceps(
     near = np.flatnonzero(np.linalg.norm(places_at_rest(model.cloud) - point, axis=1) <= radius * (1 + 1e-9))
     if fixed_nodes(model)[near].any():
         raise InputError("position of a grasp must be away from the support, got fixed nodes; choose another place")
+    if end is not None and (np.linalg.norm(places_at_rest(model.cloud)[near] - end.point, axis=1) <= end.radius).any():
+        return end, position
     return Forceps(radius, tuple(point), np.inf), vertices[vertex].astype(float)
 
 

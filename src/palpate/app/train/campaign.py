@@ -100,7 +100,7 @@ class Campaign:
     def train(self, jobs: Sequence[Job]) -> ReducedModel:
         """Make the missing runs among some, and train a model on all of them."""
         began = perf_counter()
-        self._make_runs(jobs)
+        self.make_runs(jobs)
         between = perf_counter()
         model = self._make_model(jobs)
         self.seconds["runs"] += between - began
@@ -170,7 +170,7 @@ class Campaign:
             chosen_jobs = choose(model, self.folder, self.scene, candidates, count, self.jobs(chosen, 0))
         return sorted(job.number for job in chosen_jobs)
 
-    def _make_runs(self, jobs: Sequence[Job]) -> None:
+    def make_runs(self, jobs: Sequence[Job]) -> None:
         """Make the missing runs, and print their progress."""
         folder, scene, console = self.folder, self.scene, self.console
         every = {job: path_of(folder, scene, job) for job in jobs}

@@ -8,6 +8,7 @@ import signal
 import socket
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -85,7 +86,10 @@ def view(
             raise InputError(f"compare must be left out for a full body, got {source!r:.60}; give a reduced model")
         if refine and not full:
             raise InputError(f"refine must be left out unless a page shows a full body, got {source!r:.60}")
-        make = partial(_make_session, title=opened.title, compare=compare, scene=scene)
+        if full:
+            opened = _damped(opened)
+        end = opened.scene.held_group if opened.scene is not None and full else ""
+        make = partial(_make_session, title=opened.title, compare=compare, scene=scene, end=end)
         name = _durations_name(opened, full, compare)
         return FAILED if _show(opened, full, make, name, record, place, refine, device) else DONE
 
@@ -98,8 +102,23 @@ def view(
         return show(read(shape.get("part") or ()), address)
 
 
+def _damped(opened: Input) -> Input:
+    """Return an input whose held body has the usual damping, in place of none: it would swing for minutes."""
+    scene = opened.scene
+    if scene is None or not scene.held_group or scene.description.tissue.mass_damping:
+        return opened
+    from palpate.tissue.liver import MASS_DAMPING
+
+    damped = scene.with_tissue(mass_damping=MASS_DAMPING)
+    damped.notes += [
+        *scene.notes,
+        f"damping: {MASS_DAMPING:g} 1/s on this page, so that the body comes to rest; runs of the scene have none",
+    ]
+    return replace(opened, scene=damped)
+
+
 def _make_session(
-    body: Any, foundations: tuple[Foundation, ...], *, title: str, compare: bool, scene: str | None
+    body: Any, foundations: tuple[Foundation, ...], *, title: str, compare: bool, scene: str | None, end: str = ""
 ) -> Session:
     """Return a session of a body, or of a reduced model and its full body."""
     from palpate.app.session.comparison import Comparison
@@ -108,7 +127,7 @@ def _make_session(
 
     if compare:
         return Comparison(body, full_model(body, scene), title)
-    return Session(body, title, foundations=foundations)
+    return Session(body, title, foundations=foundations, end=end)
 
 
 def _durations_name(opened: Input, full: bool, compare: bool) -> str:
@@ -178,16 +197,21 @@ def _show(
                 wait = stack.enter_context(compile_ahead(compile_engine, tissue))
             session = stack.enter_context(running_session(opened, full, make, console, record, wait))
             from palpate.app.device.driver import driving
+            from palpate.app.view.body_menu import BodyMenu, has_menu
             from palpate.app.view.refinement import Refinement, is_trained
 
             preparation.end()
-        refinement = None
-        if scene is not None:
-            refinement = stack.enter_context(contextlib.closing(Refinement(scene, session, console)))
+        makers: dict[str, Any] = {}
+        if scene is not None and has_menu(scene):
+            menu = makers["body"] = stack.enter_context(contextlib.closing(BodyMenu(scene, session, console)))
+            if scene.held_group and refine:
+                menu.compare(scene.description.training.modes)
+        if scene is not None and not (scene.held_group and makers):
+            makers["refine"] = stack.enter_context(contextlib.closing(Refinement(scene, session, console)))
             if refine or is_trained(scene):
-                refinement.handle("start")
+                makers["refine"].handle({"action": "start"})
         stack.enter_context(driving(session, device, console.say))
-        host.show(session, refinement)
+        host.show(session, makers)
         try:
             host.wait()
         except KeyboardInterrupt:

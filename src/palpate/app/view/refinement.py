@@ -11,7 +11,8 @@ from typing import Any, Protocol
 from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, percent
 from palpate.app.models.trained import model_file, training_folder
-from palpate.app.session.session import Session
+from palpate.app.session.messages import Message
+from palpate.app.session.session import Session, latest
 from palpate.app.view.training_process import TrainingProcess
 from palpate.core.faults import InputError
 from palpate.reduction.storage.models import load
@@ -64,9 +65,22 @@ class Refinement:
         self._thread: threading.Thread | None = None
         self._next: Session | None = None
 
-    def message(self) -> dict[str, Any]:
-        """Return the message ``refinement`` of the protocol."""
+    @property
+    def _is_offered(self) -> bool:
+        """Whether the body that is shown is that of the scene, or of its model: not one of another law."""
+        shown = self._shown
+        tissue = self._session.model.material
+        return shown is self._next if self._state == USED else shown.model.material == tissue
+
+    @property
+    def _shown(self) -> Session:
+        return latest(self._session)
+
+    def message(self) -> dict[str, Any] | None:
+        """Return the message ``refinement`` of the protocol; None while a body of another law is shown."""
         with self._lock:
+            if not self._is_offered:
+                return None
             left, now = self._phase.get("left"), monotonic()
             share = None
             if left is not None:
@@ -85,8 +99,9 @@ class Refinement:
         surface = errors.get("surface", errors.get("displacement", 1.0))
         return errors.get("force", 1.0) <= MAX_FORCE_ERROR and surface <= MAX_SURFACE_ERROR
 
-    def handle(self, action: str) -> None:
+    def handle(self, message: Message) -> None:
         """Execute an action: ``start`` or ``stop`` the training, or ``use`` a model that is ready."""
+        action = message["action"]
         allowed = {"start": (OFFERED, FAILED), "stop": (TRAINING,), "use": (READY,)}[action]
         with self._lock:
             if self._state not in allowed:
@@ -161,13 +176,14 @@ class Refinement:
 
     def next_source(self) -> Session | None:
         """Return the running session of the model, once: if accepted, or if it is good and the body not in use."""
-        in_use = self._session.is_touched or self._session.body.cuts
+        shown = self._shown
+        in_use = shown.is_touched or shown.body.cuts
         with self._lock:
-            ready = self._state == READY and (self._accepted or (self._is_good and not in_use))
+            ready = self._state == READY and self._is_offered and (self._accepted or (self._is_good and not in_use))
             if not ready or self._next is None:
                 return None
-            self._note = "The recording ended with the full body." if self._session.recordings.is_active else ""
-            self._next.continue_from(self._session)
+            self._note = "The recording ended with the full body." if shown.recordings.is_active else ""
+            self._next.continue_from(shown)
             self._state = USED
             return self._next
 

@@ -13,10 +13,19 @@ from typing import Any
 
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import RunError
-from palpate.app.models.trained import MAX_WORKERS, held_out_means, model_file, trained_model
+from palpate.app.models.trained import (
+    MAX_WORKERS,
+    compared_file,
+    compared_modes,
+    held_out_means,
+    model_file,
+    train_compared,
+    trained_model,
+)
 from palpate.app.train.local import THREAD_VARIABLES
 from palpate.core.faults import DivergenceError, InputError
 from palpate.core.processes import Answer, Child, Receive
+from palpate.reduction.storage.models import load
 from palpate.scenes.open_scene import json_of_scene, open_description
 from palpate.scenes.scene import Scene
 
@@ -26,13 +35,18 @@ MIN_SECONDS_LEFT = 1.0  # [s]
 
 
 class TrainingProcess:
-    """A process that trains the reduced model of a scene, one of `complete_for_training`."""
+    """A process that trains the reduced model of a scene, one of `complete_for_training`.
 
-    def __init__(self, scene: Scene) -> None:
+    With `compared`, it trains those of `palpate.app.models.trained.train_compared`, for which somebody waits: its
+    priority is the usual one.
+    """
+
+    def __init__(self, scene: Scene, compared: bool = False) -> None:
         workers = max(min((os.cpu_count() or 1) - 1, MAX_WORKERS), 1)  # the engine keeps a processor
         threads = dict.fromkeys(THREAD_VARIABLES, str(workers))
         request = {"name": scene.name, "description": json_of_scene(scene), "workers": workers}
-        self._child = Child(train_in_process, request, environment=threads, idle=True)
+        function = train_compared_in_process if compared else train_in_process
+        self._child = Child(function, request, environment=threads, idle=not compared)
 
     def events(self) -> Iterator[dict[str, Any]]:
         """Yield the reports of the process until it ends; the last is ``trained`` or ``failed``.
@@ -79,13 +93,37 @@ class Progress:
 
 def train_in_process(receive: Receive, answer: Answer) -> None:
     """Train the scene of a description."""
-    request, progress = receive(), Progress(answer)
-    try:
-        scene = open_description(request["name"], request["description"])
-        model = trained_model(scene, Console(progress.phase, progress.runs), request["workers"])
+
+    def train(scene: Scene, progress: Progress, workers: int) -> dict[str, Any]:
+        model = trained_model(scene, Console(progress.phase, progress.runs), workers)
         progress.phase("compiling the engine")
         _compile_engine(model, scene)
-        answer({"trained": str(model_file(scene)), "errors": held_out_means(model)})
+        return {"trained": str(model_file(scene)), "errors": held_out_means(model)}
+
+    _answer_training(train, receive(), answer)
+
+
+def train_compared_in_process(receive: Receive, answer: Answer) -> None:
+    """Train the models of a scene's description that are compared with its full body."""
+
+    def train(scene: Scene, progress: Progress, workers: int) -> dict[str, Any]:
+        train_compared(scene, Console(progress.phase, progress.runs), workers)
+        progress.phase("compiling the engine, once for this computer")
+        file = compared_file(scene, compared_modes(scene)[0])
+        _compile_engine(load(file), scene)
+        return {"trained": str(file), "errors": {}}
+
+    _answer_training(train, receive(), answer)
+
+
+def _answer_training(
+    train: Callable[[Scene, Progress, int], dict[str, Any]], request: dict[str, Any], answer: Answer
+) -> None:
+    """Train the scene of a request by a function of it, the progress and a number of processes; answer its result."""
+    progress = Progress(answer)
+    try:
+        scene = open_description(request["name"], request["description"])
+        answer(train(scene, progress, request["workers"]))
     except (InputError, RunError, DivergenceError, OSError) as error:
         answer({"failed": " ".join(str(error).split())})
     except Exception as error:

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import secrets
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 from palpate.app.common.console import Console
 from palpate.app.view.server.address import (
@@ -23,7 +23,7 @@ from palpate.app.view.server.label_choice import LabelChoice
 from palpate.app.view.server.page import Page
 from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.server import Server
-from palpate.app.view.server.view_source import Refining, ViewSource
+from palpate.app.view.server.view_source import NO_MAKERS, Maker, ViewSource
 from palpate.surface.labels.surroundings import Surroundings
 
 JOIN_INTERVAL = 1.0  # [s]
@@ -89,9 +89,9 @@ class Host:
         """Report to the viewers that the labels that were chosen make no body."""
         self._call(self._server.refuse, reason)
 
-    def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
-        """Show a prepared session to all viewers, and the refinement that may replace it later."""
-        self._call(self._server.show, source, refinement)
+    def show(self, source: ViewSource, makers: Mapping[str, Maker] = NO_MAKERS) -> None:
+        """Show a prepared session to all viewers, and what may replace it later, by the messages that it takes."""
+        self._call(self._server.show, source, makers)
 
     def surround(self, surroundings: Surroundings) -> None:
         """Show what is around the body to all viewers, now or when the body is shown."""

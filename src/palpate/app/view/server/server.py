@@ -9,7 +9,7 @@ import json
 import logging
 import socket
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from functools import partial
 from typing import Any
 
@@ -38,7 +38,7 @@ from palpate.app.view.server.label_choice import LabelChoice, let_choose
 from palpate.app.view.server.page import Page
 from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.streams import Streams
-from palpate.app.view.server.view_source import Refining, ViewSource
+from palpate.app.view.server.view_source import NO_MAKERS, Maker, ViewSource
 from palpate.app.view.server.viewer import INVALID_MESSAGES, VIEWER_TOO_SLOW, Viewer
 from palpate.core.faults import InputError
 from palpate.core.files import shortened
@@ -59,8 +59,10 @@ MAX_PINGS = 100  # of a connection between two ticks
 MAX_MESSAGE_RATE = 2000  # [1/s] of a viewer; further messages wait
 SERVER_LOG = logging.getLogger(__name__)
 DRIVER_MESSAGES = (
-    "pose", "tool", "pin", "release", "control", "speed", "follow", "material", "record", "replay", "refine",
+    "pose", "tool", "pin", "release", "control", "speed", "follow", "material", "record", "replay", "refine", "body",
 )  # fmt: skip
+
+MAKER_MESSAGES = ("refine", "body")
 
 
 class Server:
@@ -82,9 +84,9 @@ class Server:
         self._preparation: Preparation | None = None
         self._prepared = asyncio.Event()
         self._preview = b""
-        self._refinement: Refining | None = None
+        self._makers: Mapping[str, Maker] = NO_MAKERS
         self._replaced = asyncio.Event()  # another source is shown
-        self._last_refinement: dict[str, Any] = {}
+        self._last_made: dict[str, Any] = {}  # messages of the makers
         self._max_unsent = MAX_UNSENT_BYTES
         self._surroundings, self._surrounded = b"", asyncio.Event()
         self._space = ""
@@ -107,12 +109,12 @@ class Server:
         """Report to the viewers that their choice of labels makes no body; called in the server's thread."""
         self._broadcast({"type": "error", "reason": reason})
 
-    def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
+    def show(self, source: ViewSource, makers: Mapping[str, Maker] = NO_MAKERS) -> None:
         """Replace the source of all viewers by a session or a replay; called in the server's thread.
 
-        `refinement` is a training whose session replaces the source later.
+        The session of one of the `makers` replaces it later; their keys are the types of the messages that they take.
         """
-        self.source, self._streams, self._refinement = source, Streams(source), refinement
+        self.source, self._streams, self._makers = source, Streams(source), makers
         self._replaced.set()
         self._replaced, self._last_status = asyncio.Event(), ""
         self._max_unsent = MAX_UNSENT_BYTES + 2 * max(len(self._preview), len(frames.geometry_frame(source.surface)))
@@ -177,7 +179,7 @@ class Server:
                 while self.source.notifications:
                     self._broadcast(self.source.notifications.pop(0))
                 self._broadcast_status()
-                self._refine()
+                self._take_made()
             except Exception as error:  # of the source; it must not end the server or a viewer
                 self._log_error("the session", error)
             self._close_stalled()
@@ -216,17 +218,17 @@ class Server:
         for viewer in self._ready_viewers():
             self._schedule(viewer, self._send_to(viewer, _to_json(self._status_message(viewer, status))))
 
-    def _refine(self) -> None:
-        """Report the progress of a refinement, and show its session."""
-        if self._refinement is None:
-            return
-        message = self._refinement.message()
-        if message != self._last_refinement:
-            self._last_refinement = message
-            self._broadcast(message)
-        source = self._refinement.next_source()
-        if source is not None:
-            self.show(source, self._refinement)
+    def _take_made(self) -> None:
+        """Report the progress of the makers, and show the session that one has made."""
+        for kind, maker in self._makers.items():
+            message = maker.message()
+            if message != self._last_made.get(kind):
+                self._last_made[kind] = message
+                if message is not None:
+                    self._broadcast(message)
+            source = maker.next_source()
+            if source is not None:
+                self.show(source, self._makers)
 
     def _status_message(self, viewer: Viewer, status: dict[str, Any]) -> dict[str, Any]:
         properties = {"driver": viewer is self.driver, "viewers": len(self.viewers), "recording": False}
@@ -304,8 +306,9 @@ class Server:
             await viewer.send_message(self._hello_message(viewer))
             await viewer.send(frames.geometry_frame(self.source.surface))
             await viewer.send_message(self._status_message(viewer, self.source.status()))
-            if self._refinement is not None:
-                await viewer.send_message(self._refinement.message())
+            for maker in self._makers.values():
+                if (made := maker.message()) is not None:
+                    await viewer.send_message(made)
             if not replaced.is_set():
                 viewer.ready = True
                 return replaced
@@ -465,10 +468,10 @@ class Server:
             if viewer is not self.driver:
                 raise InputError(f"{kind}: sender must be the driver, got another viewer; send 'drive' first")
             viewer.last_drive = time.monotonic()
-            if kind == "refine":
-                if self._refinement is None:
-                    raise InputError("refine must be left out here, got it; only full bodies of a scene are refined")
-                self._refinement.handle(message["action"])
+            if kind in MAKER_MESSAGES:
+                if kind not in self._makers:
+                    raise InputError(f"{kind} must be left out here, got it; only full bodies of a scene take it")
+                self._makers[kind].handle(message)
             else:
                 self.source.handle(message)
         else:

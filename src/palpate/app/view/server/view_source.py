@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from palpate.app.recordings.snapshot import OverlayState, Snapshot
@@ -64,14 +66,17 @@ class ViewSource(Protocol):
         """Return the state of the full model at the time of a snapshot, or None."""
 
 
-class Refining(Protocol):
-    """The training of a model whose session replaces the current one; called in the server's thread."""
+class Maker(Protocol):
+    """What makes a session that replaces the current one; called in the server's thread."""
 
-    def message(self) -> dict[str, Any]:
-        """Return the message ``refinement`` of the protocol."""
+    def message(self) -> dict[str, Any] | None:
+        """Return its message for viewers, such as ``refinement``; None where it makes nothing of the current body."""
 
-    def handle(self, action: str) -> None:
-        """Execute an action of the driver: ``start``, ``stop`` or ``use``."""
+    def handle(self, message: Message) -> None:
+        """Execute a message of the driver."""
 
     def next_source(self) -> ViewSource | None:
         """Return the next source, once; None otherwise."""
+
+
+NO_MAKERS: Mapping[str, Maker] = MappingProxyType({})
