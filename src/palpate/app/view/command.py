@@ -50,15 +50,17 @@ def view(
     reduced: bool = False,
     compare: bool = False,
     scene: str | None = None,
+    yes: bool = False,
     **shape: Any,
 ) -> int:
     """Show a body in real time on a page until interrupted.
 
-    The full solid of a scene or a surface is shown, and a reduced model that is kept for it takes over; with `refine`
-    one is trained in the background, and with `reduced` before anything is shown. `record` is the file of a recording
-    of the whole session, written when it ends, also by SIGTERM or SIGHUP. With `compare` the full model of the reduced
-    model's training scene is stepped, too; `scene`, ``"module:function"``, is the user's own, which the model must
-    name. `shape` has the options of a surface file, and those of a device (`palpate.app.device.options`).
+    The full solid of a scene or a surface is shown, and a reduced model that is kept for it takes over; with
+    `refine` one is trained in the background, and with `reduced` before anything is shown. `record` is the file of
+    a recording of the whole session, written when it ends, also by SIGTERM or SIGHUP. With `compare` the full model
+    of the reduced model's training scene is stepped, too; `scene`, ``"module:function"``, is the user's own, which
+    the model must name. With `yes` nobody is asked before a training of minutes. `shape` has the options of a
+    surface file, and those of a device (`palpate.app.device.options`).
 
     Returns 0; 1 if a recording, or its file for ParaView, was not written.
     """
@@ -86,6 +88,8 @@ def view(
             raise InputError(f"compare must be left out for a full body, got {source!r:.60}; give a reduced model")
         if refine and not full:
             raise InputError(f"refine must be left out unless a page shows a full body, got {source!r:.60}")
+        if not full:
+            _confirm_training(opened, yes or not isinstance(place, tuple))  # the page of a choice is open already
         make = partial(_make_session, title=opened.title, compare=compare, scene=scene)
         name = _durations_name(opened, full, compare)
         return FAILED if _show(opened, full, make, name, record, place, refine, device) else DONE
@@ -97,6 +101,16 @@ def view(
             with choose_on_page(source, shape.get("labels"), read, address) as (place, chosen):
                 return show(chosen, place)
         return show(read(shape.get("part") or ()), address)
+
+
+def _confirm_training(opened: Input, yes: bool) -> None:
+    """State what a training does where it is needed, and ask before a long one."""
+    console = Console()
+    training = opened.training_needed(console)
+    if training is not None:
+        from palpate.app.train.estimate import confirm
+
+        confirm(console, training, "Train?", yes)
 
 
 def _make_session(

@@ -13,7 +13,7 @@ from typing import Any
 
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import RunError
-from palpate.app.models.trained import MAX_WORKERS, held_out_means, model_file, trained_model
+from palpate.app.models.trained import MAX_WORKERS, held_out_means, model_file, trained_model, training_needed
 from palpate.app.train.local import THREAD_VARIABLES
 from palpate.core.faults import DivergenceError, InputError
 from palpate.core.processes import Answer, Child, Receive
@@ -37,7 +37,8 @@ class TrainingProcess:
     def events(self) -> Iterator[dict[str, Any]]:
         """Yield the reports of the process until it ends; the last is ``trained`` or ``failed``.
 
-        ``phase`` has a text, and the time ``left`` [s] or None. ``trained`` has the file of the model, and its
+        ``phase`` has a text, and the time ``left`` [s] or None; that before a training also lines of an ``estimate``.
+        ``trained`` has the file of the model, and its
         mean ``errors`` on held-out runs by name. ``failed`` has a reason.
         """
         last: dict[str, Any] = {}
@@ -82,6 +83,9 @@ def train_in_process(receive: Receive, answer: Answer) -> None:
     request, progress = receive(), Progress(answer)
     try:
         scene = open_description(request["name"], request["description"])
+        estimate = training_needed(scene, Console(progress.phase), request["workers"])
+        if estimate is not None:
+            answer({"phase": "starting", "left": estimate.total, "estimate": estimate.lines()})
         model = trained_model(scene, Console(progress.phase, progress.runs), request["workers"])
         progress.phase("compiling the engine")
         _compile_engine(model, scene)
