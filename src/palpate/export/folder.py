@@ -48,11 +48,11 @@ def identifier(text: str) -> str:
     return name if name and not name[0].isdigit() else f"model_{name}".strip("_")
 
 
-def check_new(folder: Path) -> None:
+def check_new(folder: Path, name: str = "folder") -> None:
     """Raise `InputError` unless a folder is new or empty, and OSError if it cannot be made."""
-    check_folder(folder.parent)
+    check_folder(folder.parent, name)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"folder must be new or empty, got {str(folder)!r}; choose another, or remove it")
+        raise InputError(f"{name} must be new or empty, got {str(folder)!r}; choose another, or remove it")
 
 
 @contextmanager

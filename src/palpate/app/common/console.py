@@ -88,8 +88,8 @@ def _reads_terminal() -> bool:
         return False
     try:
         return not hasattr(os, "tcgetpgrp") or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
-    except OSError:
-        return False
+    except OSError:  # a terminal that controls no processes stops none
+        return True
 
 
 def print_json(report: dict[str, Any]) -> None:

@@ -44,9 +44,9 @@ def export(
             raise InputError("--c or --web must be given, got neither; give a folder for one of them, or for both")
         if name is not None or targets or relaxed:
             raise InputError("web must be with --c where name, target or relaxed is given, got no --c; add it")
-    for each in (folder, web):
+    for argument, each in (("folder", folder), ("web", web)):
         if each is not None:
-            check_new(each)
+            check_new(each, argument)
     if folder is not None and web is not None and folder.absolute() == web.absolute():
         raise InputError(f"web must be another folder than that of --c, got {str(web)!r}; choose another")
     if web is not None:
@@ -92,7 +92,7 @@ def _estimate(title: str, machines: Sequence[str], has_page: bool) -> Estimate:
 
 
 def _words(machines: Sequence[str]) -> str:
-    return " and ".join("this machine" if each == HOST_TARGET else each for each in machines)
+    return ", ".join("this machine" if each == HOST_TARGET else each for each in machines)
 
 
 def _say(console: Console, folder: Path, written: dict[str, str]) -> None:

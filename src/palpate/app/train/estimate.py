@@ -31,7 +31,7 @@ from palpate.scenes.tool_paths import MAX_DELAY, PHASE_TIMES, TOUCH_SECONDS
 from palpate.tissue.materials import Material
 
 BLOCK_SIZE, BLOCK_SPACING, BALL_RADIUS = 0.1, 0.0083, 0.03  # [m] of a pressed block that measures the machine
-PRESS_DEPTH, PRESS_WAVES, FRAMES = 0.004, 30, 3  # [m], times of a wave over a spacing, and snapshots of its run
+PRESS_DEPTH, PRESS_WAVES, FRAMES = 0.004, 30, 8  # [m], times of a wave over a spacing, and snapshots of its run
 # of one core in docs/validation/first_start.json, until a machine is measured: a run per node and time of a wave over
 # a spacing, and compiling of what runs and what the training call [s]
 GUESSED_PACE, RUN_COMPILING, TRAINING_COMPILING = 8e-6, 60.0, 60.0
