@@ -179,7 +179,7 @@ def add_json(parser: argparse.ArgumentParser, what: str) -> None:
 
 def add_yes(parser: argparse.ArgumentParser) -> None:
     """Add the option that skips the question before work of minutes."""
-    text = "begin work of minutes without a question; none is asked where the input is no terminal"
+    text = "begin work of minutes without a question; a script, which has no terminal, is not asked"
     parser.add_argument("-y", "--yes", action="store_true", help=text)
 
 

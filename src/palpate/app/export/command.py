@@ -16,7 +16,7 @@ from palpate.export.folder import check_new, export_c, identifier
 from palpate.export.library import check_library, lower_model
 from palpate.export.targets import HOST_TARGET, WEB_TARGETS
 
-STEP, MACHINE = "step of a library", "step of a library for a machine"  # names of kept times
+STEP_TIME, MACHINE_TIME = "step of a library", "step of a library for a machine"  # names of kept times
 GUESSED_STEP, GUESSED_MACHINE = 45.0, 28.0  # [s] of one core in docs/validation/first_start.json, until they are kept
 
 
@@ -63,13 +63,13 @@ def export(
     with console.status("compiling the step of the model"):
         library = lower_model(reduced, chosen, tools)
     lowered = process_time()
-    keep(STEP, lowered - began)
+    keep(STEP_TIME, lowered - began)
     if folder is not None:
         with console.status(f"writing the library for {_words(machines)}"):
             written = export_c(
                 library, folder, title=opened.title, targets=machines, strict=not relaxed, say=console.say
             )
-        keep(MACHINE, (process_time() - lowered) / len(machines))
+        keep(MACHINE_TIME, (process_time() - lowered) / len(machines))
         _say(console, folder, written)
         console.say(f"build and run it: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build")
         console.say(f"                  {folder}/build/press")
@@ -84,7 +84,7 @@ def export(
 
 def _estimate(title: str, machines: Sequence[str], has_page: bool) -> Estimate:
     """Return the estimate of compiling a model's step for machines, and for browsers."""
-    step, machine = kept_seconds(STEP), kept_seconds(MACHINE)
+    step, machine = kept_seconds(STEP_TIME), kept_seconds(MACHINE_TIME)
     count = len(machines) + (len(WEB_TARGETS) if has_page else 0)
     seconds = (step or GUESSED_STEP) + count * (machine or GUESSED_MACHINE)
     what = f"{title}: compiling of its step for {_words([*machines, *(['browsers'] if has_page else [])])}"

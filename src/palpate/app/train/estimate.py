@@ -6,15 +6,14 @@ of an earlier command on this machine, or a guess.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from time import process_time
 from typing import NamedTuple
 
 import numpy as np
-from numba.core import event
 
+from palpate.app.common.compile_ahead import only_compiled_code
 from palpate.app.common.compiled_code import code_digest
 from palpate.app.common.console import Console, duration_text
 from palpate.app.common.machine import keep, kept_seconds, kept_text
@@ -31,14 +30,14 @@ from palpate.scenes.tool_paths import MAX_DELAY, PHASE_TIMES, TOUCH_SECONDS
 from palpate.tissue.materials import Material
 
 BLOCK_SIZE, BLOCK_SPACING, BALL_RADIUS = 0.1, 0.0083, 0.03  # [m] of a pressed block that measures the machine
-PRESS_DEPTH, PRESS_WAVES, FRAMES = 0.004, 30, 8  # [m], times of a wave over a spacing, and snapshots of its run
+PRESS_DEPTH, PRESS_WAVES, PRESS_FRAMES = 0.004, 30, 8  # [m], times of a wave over a spacing, and snapshots of its run
 # of one core in docs/validation/first_start.json, until a machine is measured: a run per node and time of a wave over
 # a spacing, and compiling of what runs and what the training call [s]
 GUESSED_PACE, RUN_COMPILING, TRAINING_COMPILING = 8e-6, 60.0, 60.0
 TRAINING_SHARE = 1.3  # time of the training over that of all its runs: 1.3 on a liver of 4,500 nodes
 ASK_SECONDS = 120.0  # [s] from which on a command asks before it begins
-PACE = "run, per node and time of a wave over a spacing"  # name of the kept time
-RUNS, TRAINING, COMPILING = "runs", "training", "compiling once"
+PACE_NAME = "run, per node and time of a wave over a spacing"  # name of the kept time
+RUNS_PART, TRAINING_PART, COMPILING_PART = "runs", "training", "compiling once"
 
 
 class Estimate(NamedTuple):
@@ -80,9 +79,9 @@ def estimate_training(scene: Scene, training: Training, path: Path, workers: int
     left = Folder(path, {}).left(planned)
     pace, is_compiled = measure_pace(scene.material), True
     if pace is not None:
-        keep(PACE, pace)
+        keep(PACE_NAME, pace)
     else:
-        pace, is_compiled = kept_seconds(PACE), False
+        pace, is_compiled = kept_seconds(PACE_NAME), False
     waves = 1.0 / _wave_time(scene.material, scene.description.body.spacing or np.inf)
     nodes = _count_nodes(scene)
     second = nodes * waves * (pace or GUESSED_PACE)  # of processor for a second of a run
@@ -96,8 +95,8 @@ def estimate_training(scene: Scene, training: Training, path: Path, workers: int
         + (f" ({kept} of them kept from before)" if kept else "")
         + f", and a training of {training.modes} modes on them"
     )
-    seconds = {RUNS: runs[0] / max(min(workers, len(left)), 1), TRAINING: TRAINING_SHARE * runs[1]}
-    return Estimate(what, {**seconds, COMPILING: compiling}, is_guess=pace is None)
+    seconds = {RUNS_PART: runs[0] / max(min(workers, len(left)), 1), TRAINING_PART: TRAINING_SHARE * runs[1]}
+    return Estimate(what, {**seconds, COMPILING_PART: compiling}, is_guess=pace is None)
 
 
 def keep_trained(scene: Scene) -> None:
@@ -114,7 +113,8 @@ def measure_pace(material: Material) -> float | None:
 
     The run is a press of a ball on a block.
     """
-    with _compiled_code() as begun:
+    results = list[float]()
+    with only_compiled_code():
         wave = _wave_time(material, BLOCK_SPACING)
         cloud = box((BLOCK_SIZE,) * 3, BLOCK_SPACING, jitter=0.2)
         body, duration = EnergySolid(cloud, material, "z-"), PRESS_WAVES * wave
@@ -122,34 +122,10 @@ def measure_pace(material: Material) -> float | None:
         ball = Contact(Sphere(BALL_RADIUS), lambda t: (middle, middle, top - PRESS_DEPTH * t / duration))
         for _ in range(2):  # the first loads the code
             began = process_time()
-            rollout(body, [ball], duration=duration, every=duration / FRAMES, progress=False)
+            rollout(body, [ball], duration=duration, every=duration / PRESS_FRAMES, progress=False)
             seconds = process_time() - began
-        begun.append(seconds / (len(cloud) * PRESS_WAVES))
-    return begun[0] if begun else None
-
-
-class _NotCompiledError(Exception):
-    """A function that is called is not compiled yet."""
-
-
-class _Refusal(event.Listener):  # type: ignore[misc]
-    """Raises an error where Numba begins to compile."""
-
-    def on_start(self, event: object) -> None:
-        raise _NotCompiledError
-
-    def on_end(self, event: object) -> None:
-        """Do nothing."""
-
-
-@contextmanager
-def _compiled_code() -> Iterator[list[float]]:
-    """Leave a block as soon as it calls a function that would have to be compiled; yield a list for its results."""
-    try:
-        with event.install_listener("numba:compile", _Refusal()):
-            yield []
-    except _NotCompiledError:
-        pass
+        results.append(seconds / (len(cloud) * PRESS_WAVES))
+    return results[0] if results else None
 
 
 def _wave_time(material: Material, spacing: float) -> float:
