@@ -8,6 +8,7 @@ import pytest
 
 from palpate.app.cli import main
 from palpate.app.export import command
+from palpate.app.train.estimate import Estimate
 
 
 @pytest.mark.parametrize(
@@ -65,3 +66,22 @@ def test_a_library_and_a_page_are_of_one_compilation(tmp_path, monkeypatch, caps
     said = capsys.readouterr().err
     assert "Liver: compiling of its step for this machine, windows-x86-64, browsers" in said
     assert "takes about" in said
+
+
+def test_an_interrupt_states_what_is_complete(tmp_path, monkeypatch, capsys):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    trained = Estimate("Liver: 3 runs", {"runs": 3.0})
+    opened = SimpleNamespace(title="Liver", training_needed=lambda console: trained, reduced=lambda console: "a model")
+    monkeypatch.setattr(command, "open_input", lambda *words, **options: opened)
+    monkeypatch.setattr(command, "lower_model", lambda *_: SimpleNamespace())
+    monkeypatch.setattr(command, "export_c", lambda *words, **options: {})
+    monkeypatch.setattr(command, "export_web", interrupted)
+    monkeypatch.setattr(command, "check_page", lambda: None)
+    monkeypatch.setattr(command, "keep", lambda name, seconds: None)
+    library = tmp_path / "library"
+    assert main(["export", "liver", "--c", str(library), "--web", str(tmp_path / "page")]) == 130
+    said = capsys.readouterr().err
+    assert f"interrupted the trained model is kept; {library} is complete" in said
+    assert "Liver: 3 runs; then compiling of its step for this machine, browsers" in said

@@ -13,8 +13,9 @@ from palpate.app.models.input import open_input
 from palpate.app.train.estimate import Estimate, confirm
 from palpate.core.faults import InputError
 from palpate.export.folder import check_new, export_c, identifier
-from palpate.export.library import check_library, lower_model
+from palpate.export.library import Library, check_library, lower_model
 from palpate.export.targets import HOST_TARGET, WEB_TARGETS
+from palpate.reduction.hyper.model import ReducedModel
 
 STEP_TIME, MACHINE_TIME = "step of a library", "step of a library for a machine"  # names of kept times
 GUESSED_STEP, GUESSED_MACHINE = 45.0, 28.0  # [s] of one core in docs/validation/first_start.json, until they are kept
@@ -54,40 +55,64 @@ def export(
     check_library(chosen, tools)
     opened = open_input(model, for_training=True, part=part, labels=labels, without=without)
     machines = list(dict.fromkeys(targets or [HOST_TARGET])) if folder is not None else []
-    training, estimate = opened.training_needed(console), _estimate(opened.title, machines, web is not None)
+    training, estimate = opened.training_needed(console), _estimate(machines, web is not None)
     if training is not None:
         estimate = training.followed_by(estimate)
+    else:
+        estimate = estimate._replace(what=f"{opened.title}: {estimate.what}")
     confirm(console, estimate, "Compile?" if training is None else "Train and compile?", yes)
-    reduced = opened.reduced(console)
-    began = process_time()
-    with console.status("compiling the step of the model"):
-        library = lower_model(reduced, chosen, tools)
-    lowered = process_time()
-    keep(STEP_TIME, lowered - began)
-    if folder is not None:
-        with console.status(f"writing the library for {_words(machines)}"):
-            written = export_c(
-                library, folder, title=opened.title, targets=machines, strict=not relaxed, say=console.say
-            )
-        keep(MACHINE_TIME, (process_time() - lowered) / len(machines))
-        _say(console, folder, written)
-        console.say(f"build and run it: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build")
-        console.say(f"                  {folder}/build/press")
-    if web is not None:
-        with console.status("writing the page for browsers"):
-            written = export_web(library, web, opened.title)
-        _say(console, web, written)
-        console.say(f"open it:          python3 -m http.server --directory {web} 8000")
-        console.say("                  http://localhost:8000")
+    reduced, complete = opened.reduced(console), list[str]()
+    if training is not None:
+        complete.append("the trained model is kept")
+    try:
+        library = _lower(reduced, chosen, tools, console)
+        if folder is not None:
+            _write_library(library, folder, opened.title, machines, not relaxed, console)
+            complete.append(f"{folder} is complete")
+        if web is not None:
+            _write_page(library, web, opened.title, console)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("; ".join(complete)) from None
     return 0
 
 
-def _estimate(title: str, machines: Sequence[str], has_page: bool) -> Estimate:
+def _lower(model: ReducedModel, name: str, tools: int, console: Console) -> Library:
+    """Return the library of a model, and keep the time of that."""
+    began = process_time()
+    with console.status("compiling the step of the model"):
+        library = lower_model(model, name, tools)
+    keep(STEP_TIME, process_time() - began)
+    return library
+
+
+def _write_library(
+    library: Library, folder: Path, title: str, machines: Sequence[str], strict: bool, console: Console
+) -> None:
+    """Write the library for machines, and print its files."""
+    began = process_time()
+    with console.status(f"writing the library for {_words(machines)}"):
+        written = export_c(library, folder, title=title, targets=machines, strict=strict, say=console.say)
+    keep(MACHINE_TIME, (process_time() - began) / len(machines))
+    _say(console, folder, written)
+    console.say(f"build and run it: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build")
+    console.say(f"                  {folder}/build/press")
+
+
+def _write_page(library: Library, folder: Path, title: str, console: Console) -> None:
+    """Write the page, and print its files."""
+    with console.status("writing the page for browsers"):
+        written = export_web(library, folder, title)
+    _say(console, folder, written)
+    console.say(f"open it:          python3 -m http.server --directory {folder} 8000")
+    console.say("                  http://localhost:8000")
+
+
+def _estimate(machines: Sequence[str], has_page: bool) -> Estimate:
     """Return the estimate of compiling a model's step for machines, and for browsers."""
     step, machine = kept_seconds(STEP_TIME), kept_seconds(MACHINE_TIME)
     count = len(machines) + (len(WEB_TARGETS) if has_page else 0)
     seconds = (step or GUESSED_STEP) + count * (machine or GUESSED_MACHINE)
-    what = f"{title}: compiling of its step for {_words([*machines, *(['browsers'] if has_page else [])])}"
+    what = f"compiling of its step for {_words([*machines, *(['browsers'] if has_page else [])])}"
     return Estimate(what, {"compiling the step": seconds}, is_guess=step is None)
 
 
