@@ -20,7 +20,7 @@ from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
 from palpate.core.files import check_folder, write_bytes
 from palpate.dynamics.contact import kinds
-from palpate.export.library import Library, lower_model
+from palpate.export.library import Library
 from palpate.export.link import host_target
 from palpate.export.targets import HOST_TARGET, TARGET_MACHINES, TARGET_NAMES
 from palpate.realtime.bodies.display_surface import Surface
@@ -48,11 +48,11 @@ def identifier(text: str) -> str:
     return name if name and not name[0].isdigit() else f"model_{name}".strip("_")
 
 
-def check_new(folder: Path) -> None:
+def check_new(folder: Path, name: str = "folder") -> None:
     """Raise `InputError` unless a folder is new or empty, and OSError if it cannot be made."""
-    check_folder(folder.parent)
+    check_folder(folder.parent, name)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"folder must be new or empty, got {str(folder)!r}; choose another, or remove it")
+        raise InputError(f"{name} must be new or empty, got {str(folder)!r}; choose another, or remove it")
 
 
 @contextmanager
@@ -75,24 +75,20 @@ def complete_folder(folder: Path) -> Iterator[Path]:
 
 
 def export_c(
-    model: ReducedModel,
+    library: Library,
     folder: Path,
     *,
-    name: str,
     title: str = "",
     targets: Sequence[str] = (HOST_TARGET,),
     strict: bool = True,
-    tools: int = 2,
     say: Callable[[str], None] = print,
 ) -> dict[str, str]:
-    """Write a library of a reduced model for programs in C, and what they need to use it.
+    """Write a library for programs in C, and what they need to use it.
 
-    No compiled function can be called in this process afterwards. The model has tool contact, or one prescribed group.
-    The folder must be new or empty. The names of files and functions begin with `name`, an identifier of C.
+    The folder must be new or empty. The names of files and functions begin with the name of the library.
 
     A `strict` library is compiled without contraction and reassociation of sums: all targets compute the same bits but
-    for the functions of their C library. From 1 to 4 tools can touch the model at once; a prescribed group is one.
-    `say` is called with a line about each file that could not be made.
+    for the functions of their C library. `say` is called with a line about each file that could not be made.
 
     Returns the files, and what they are.
     """
@@ -100,23 +96,20 @@ def export_c(
         if target not in TARGET_NAMES:
             raise InputError(f"target must be one of {', '.join(TARGET_NAMES)}, got {target!r}; choose one of these")
     check_new(folder)
-    words = _words(model, name)
-    library = lower_model(model, name, tools)
     with complete_folder(folder) as part:
-        return _write(part, library, words, name, title, targets, strict, say)
+        return _write(part, library, title, targets, strict, say)
 
 
 def _write(
     folder: Path,
     library: Library,
-    words: dict[str, str],
-    name: str,
     title: str,
     targets: Sequence[str],
     strict: bool,
     say: Callable[[str], None],
 ) -> dict[str, str]:
     """Write the files of a library; arguments and result as of `export_c`."""
+    name, words = library.name, _words(library.model, library.name)
     written = {f"{name}.palpate": "the constants of the model"}
     write_bytes(folder / f"{name}.palpate", library.image)
     for target in targets:

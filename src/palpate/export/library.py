@@ -32,16 +32,21 @@ DEFAULT_OPTIONS = {
 
 
 class Library(NamedTuple):
-    """Functions of a model before they are compiled for a target."""
+    """Functions of a model before they are compiled for a target; `_replace` gives them another name."""
 
-    name: str  # with which the names of all functions begin
+    name: str  # with which the names of all functions begin, an identifier of C
+    model: ReducedModel
     texts: list[str]  # modules of LLVM's intermediate representation
+    functions: list[LoweredFunction]
     memory: Memory
     image: bytes  # content of the model's file
 
     def emit(self, target: Target, strict: bool = True) -> bytes:
         """Return the object of the functions for a target; see `palpate.export.link.emit_object`."""
-        return emit_object(self.texts, self.symbols, target, strict)
+        entries = [self.memory.entry_point(f"{self.name}_{each.name}", each) for each in self.functions]
+        sizes = {"memory_size": self.memory.size, "file_size": self.memory.stored}
+        entries += [constant_function(f"{self.name}_{key}", value) for key, value in sizes.items()]
+        return emit_object([*self.texts, *entries], self.symbols, target, strict)
 
     @property
     def symbols(self) -> list[str]:
@@ -49,36 +54,39 @@ class Library(NamedTuple):
         return [f"{self.name}_{function}" for function in FUNCTION_NAMES]
 
 
+def check_library(name: str, tools: int) -> None:
+    """Raise `InputError` unless a name is an identifier of C, and tools are 1 to `MAX_TOOLS`."""
+    if not (name.isascii() and name.isidentifier()):
+        raise InputError(f"name must be an identifier of C, got {name!r}; use letters, digits and underscores")
+    integer_in_range("tools", tools, 1, MAX_TOOLS)
+
+
 def lower_model(model: ReducedModel, name: str, tools: int = 2) -> Library:
     """Return the library of a reduced model; no compiled function can be called in this process afterwards.
 
-    The model has tool contact, or one prescribed group. `name` is an identifier of C. There are up to
-    `palpate.realtime.contract.MAX_TOOLS` tools; a group is one.
+    The model has tool contact, or one prescribed group. `name` and `tools` are as for `check_library`; a group is one
+    tool.
     """
-    if not (name.isascii() and name.isidentifier()):
-        raise InputError(f"name must be an identifier of C, got {name!r}; use letters, digits and underscores")
+    check_library(name, tools)
     functions, named = model_functions(model, tools)
     placeholder, scratch, digest = np.zeros(0, dtype=np.uint8), np.zeros((2, 64), dtype=np.int64), (0,) * DIGEST_WORDS
     functions["check"] = check_file, (placeholder, 0, scratch[0], scratch[1], digest)
     with recording() as texts:
-        lowered = [LoweredFunction(f"{name}_{key}", *each) for key, each in functions.items()]
+        lowered = [LoweredFunction(key, *each) for key, each in functions.items()]
     memory = Memory(lowered, named)
     image = memory.image()
     words = [int.from_bytes(image[DIGEST_PLACE + 4 * k : DIGEST_PLACE + 4 * k + 4], "big") for k in range(DIGEST_WORDS)]
     check = lowered[-1].leaves
     check[-DIGEST_WORDS:] = words
     check[CHECKED_LENGTH] = memory.stored
-    entries = [memory.entry_point(function) for function in lowered]
-    sizes = {"memory_size": memory.size, "file_size": memory.stored}
-    entries += [constant_function(f"{name}_{key}", value) for key, value in sizes.items()]
-    return Library(name, [*texts, *entries], memory, image)
+    return Library(name, model, texts, lowered, memory, image)
 
 
 def model_functions(
     model: ReducedModel, tools: int
 ) -> tuple[dict[str, tuple[Any, tuple[Any, ...]]], dict[str, NDArray[Any]]]:
     """Return the functions of a library with their arguments, and the arrays that a program uses by name."""
-    ready = idle_model(model, tools=integer_in_range("tools", tools, 1, MAX_TOOLS))
+    ready = idle_model(model, tools=tools)
     instrumented = make_instrumented(ready, linked=True)
     surface, data = Surface(model), instrumented.data
     count = len(data.coupling.position)

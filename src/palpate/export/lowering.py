@@ -75,7 +75,7 @@ def recording() -> Iterator[list[str]]:
 
 
 class LoweredFunction:
-    """A compiled function whose modules were recorded; `name` is that of the exported symbol.
+    """A compiled function whose modules were recorded; the exported symbol ends in `name`.
 
     Its arguments are arrays, numbers, and tuples of them. Numbers become constants of the library. `leaves` are the
     flat arguments: an array in place of its address, numbers, or None for null pointers.

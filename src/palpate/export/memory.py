@@ -89,11 +89,11 @@ class Memory:
         data[:HEADER_BYTES] = HEADER_FORMAT.pack(*header, digest)
         return bytes(data)
 
-    def entry_point(self, function: LoweredFunction) -> str:
+    def entry_point(self, name: str, function: LoweredFunction) -> str:
         """Return the module of ``int32_t NAME(void *memory)``, which returns the result of a function, or -1."""
-        module, byte, i32, i64 = ir.Module(function.name), ir.IntType(8).as_pointer(), ir.IntType(32), ir.IntType(64)
+        module, byte, i32, i64 = ir.Module(name), ir.IntType(8).as_pointer(), ir.IntType(32), ir.IntType(64)
         callee = ir.Function(module, function.function_type, function.callee)
-        entry = ir.Function(module, ir.FunctionType(i32, [byte]), function.name)
+        entry = ir.Function(module, ir.FunctionType(i32, [byte]), name)
         entry.args[0].add_attribute("noalias")
         builder = ir.IRBuilder(entry.append_basic_block())
         kinds = function.function_type.args

@@ -259,7 +259,7 @@ class Scene(Described):
         if not self.held_group:
             return self.tool_paths()
         duration, every = self.description.training.duration, self.description.training.every
-        self.held_motion(0, duration)  # raises an error at once
+        self.check_training()
         from palpate.scenes.scene_paths import HAND_DURATION, held_motion
         from palpate.scenes.tool_paths import is_touch
 
@@ -271,15 +271,29 @@ class Scene(Described):
 
         return path
 
-    def tool_paths(self) -> ToolPaths:
-        """Return the paths of the tool on the free surface of the body."""
-        from palpate.scenes.scene_paths import touching_paths
+    def check_training(self) -> None:
+        """Raise `InputError` for a spacing, a disc, a tool or a motion with which nothing can be trained.
+
+        The body is not made.
+        """
+        from palpate.scenes.body import check_disc, check_spacing
         from palpate.scenes.tool_paths import check_radius
 
         about = self.description
-        if about.tool.radius is not None and about.body.spacing is not None:  # before the body is filled
+        check_spacing(about)
+        check_disc(about)
+        if self.held_group:
+            self.held_motion(0, about.training.duration)
+        elif about.tool.radius is not None and about.body.spacing is not None:
             with self._placing_faults(), at_entry("tool", "radius"):
                 check_radius(about.tool.radius, about.body.spacing)
+
+    def tool_paths(self) -> ToolPaths:
+        """Return the paths of the tool on the free surface of the body."""
+        from palpate.scenes.scene_paths import touching_paths
+
+        about = self.description
+        self.check_training()
         return touching_paths(about.tool, about.training, self.body, self.foundations)
 
     def held_motion(self, seed: int, duration: float) -> HeldMotion:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numba
 import pytest
 
 from palpate.app.common import compile_ahead as module
-from palpate.app.common.compile_ahead import compile_ahead
+from palpate.app.common.compile_ahead import compile_ahead, only_compiled_code
 from palpate.app.view.compile_engine import compile_engine
 from palpate.core import processes
 from palpate.core.parameters import written_section
@@ -42,3 +43,14 @@ def test_the_second_process_ends_with_the_first(monkeypatch):
     with compile_ahead(compile_engine, written_section(Tissue())):
         assert started[0].poll() is None
     assert started[0].poll() is not None
+
+
+def test_a_block_ends_where_code_would_have_to_be_compiled():
+    function, results = numba.njit(lambda x: x + 1), ["before"]
+    with only_compiled_code():
+        results.append(function(1.0))
+    assert results == ["before"]
+    assert function(1.0) == 2.0  # compiles
+    with only_compiled_code():
+        results.append(function(1.0))
+    assert results == ["before", 2.0]

@@ -57,7 +57,14 @@ def model_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def folder(model_file):
-    return export(model_file, "--web", str(model_file.parent / "web"))
+    return export(model_file, "--c", str(model_file.parent / "library"), "--web", str(model_file.parent / "web"))
+
+
+def test_a_library_of_the_same_compilation_is_next_to_the_page(folder):
+    names = (folder.parent / "library" / "organ.h").read_text()
+    assert "organ_step" in names
+    assert b"model_step" in (folder / "model" / "simd.wasm").read_bytes()
+    assert b"organ_step" not in (folder / "model" / "simd.wasm").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -255,8 +262,3 @@ def test_damaged_files_are_named(browser, folder, serve, tmp_path):
     tab = browser.open(serve(copy))
     tab.wait("document.getElementById('message')?.textContent.includes('damaged')")
     tab.close()
-
-
-def test_options_of_a_library_are_refused_for_a_page(model_file, tmp_path):
-    with pytest.raises(RuntimeError, match="--web must be alone"):
-        export(model_file, "--relaxed", "--web", str(tmp_path / "page"))

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.app.common.compile_ahead import _NotCompiledError
 from palpate.app.common.console import Console
 from palpate.app.models import full_body
 from palpate.app.models.full_body import full_body_lines, prepare_full_body
 from palpate.app.models.input import open_input
-from palpate.app.models.spacing import FINER_NODES, MAX_NODES, better_spacing, realtime_spacing
+from palpate.app.models.spacing import FINER_NODES, MAX_NODES, _seconds_per_node, better_spacing, realtime_spacing
 from palpate.app.session.messages import validate_message
 from palpate.app.session.session import Session
 from palpate.meshfree.cloud import BORDER_MARGIN
@@ -121,6 +122,14 @@ def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
     assert spacings[0] < spacings[1] < spacings[2]
     # nodes times steps a second: the fourth power of the spacing
     assert spacings[1] / spacings[0] == pytest.approx(2**0.25, rel=0.03)
+
+
+def test_the_pace_is_guessed_where_a_measurement_would_compile(monkeypatch):
+    def compiled_later(*_):
+        raise _NotCompiledError
+
+    monkeypatch.setattr("palpate.app.models.spacing.EnergySolid", compiled_later)
+    assert _seconds_per_node(pt.materials.NeoHookean(C1=1.1e3, density=1060.0, poisson=0.45)) == pytest.approx(1.6e-7)
 
 
 def test_the_liver_of_the_package_is_as_fine_as_the_machine_allows(monkeypatch):

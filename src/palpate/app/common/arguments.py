@@ -177,6 +177,12 @@ def add_json(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--json", action="store_true", dest="as_json", help=f"print {what} as JSON, for other programs")
 
 
+def add_yes(parser: argparse.ArgumentParser) -> None:
+    """Add the option that skips the question before work of minutes."""
+    text = "begin work of minutes without a question; a script, which has no terminal, is not asked"
+    parser.add_argument("-y", "--yes", action="store_true", help=text)
+
+
 def path(text: str) -> Path:
     """Return a path that a file system accepts."""
     if not text or any(len(os.fsencode(part)) > MAX_NAME_BYTES for part in text.split("/")):

@@ -61,3 +61,24 @@ class CompiledFunctions(event.Listener):  # type: ignore[misc]
         """Stop counting."""
         with contextlib.suppress(ValueError):  # of an earlier call
             event.unregister("numba:compile", self)
+
+
+class _NotCompiledError(Exception):
+    """A function that is called is not compiled yet."""
+
+
+class _Refusal(event.Listener):  # type: ignore[misc]
+    """Raises an error where Numba begins to compile."""
+
+    def on_start(self, event: Any) -> None:
+        raise _NotCompiledError
+
+    def on_end(self, event: Any) -> None:
+        """Do nothing."""
+
+
+@contextlib.contextmanager
+def only_compiled_code() -> Iterator[None]:
+    """Leave the block where it calls a function that would have to be compiled first."""
+    with contextlib.suppress(_NotCompiledError), event.install_listener("numba:compile", _Refusal()):
+        yield

@@ -1,9 +1,14 @@
-"""``palpate --cache``: the folder of compiled functions, and its removal."""
+"""``palpate --cache``: the folder of compiled functions, and its removal; and a digest of what is compiled."""
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import os
+import sys
 from contextlib import suppress
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 
@@ -54,3 +59,16 @@ def _show_cache(what: str) -> None:
     print("no folder for compiled functions" if folder is None else f"{removed}{text}\n{folder}")
     for family, count in packs.items():
         print(f"palpate-kernels: {count:,} functions for {family}")
+
+
+@cache
+def code_digest() -> str:
+    """Return a digest of the installed sources and of the folder of their compiled code."""
+    import numba
+
+    import palpate
+
+    root = Path(palpate.__file__).parent
+    source_files = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in sorted(root.rglob("*.py"))]
+    settings = os.environ.get("NUMBA_CACHE_DIR", ""), numba.__version__, sys.version
+    return hashlib.sha256(repr((source_files, settings)).encode()).hexdigest()

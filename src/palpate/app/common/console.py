@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from typing import Any, Literal
 import rich.table
 from rich.box import SIMPLE_HEAD
 
+from palpate.app.common.exit_status import RunError
 from palpate.dynamics.run.progress import make_console
 
 
@@ -56,6 +58,18 @@ class Console:
         if self._on_progress is not None:
             self._on_progress(share, text)
 
+    def confirm(self, question: str) -> None:
+        """Ask whether to go on, and raise `RunError` for a no; a script, which has no terminal, is not asked."""
+        if not (self._console.is_terminal and _reads_terminal()):
+            return
+        while True:
+            self._console.print(f"{question} [Y/n] ", end="")
+            answer = sys.stdin.readline()
+            if answer.strip().lower() in ("n", "no") or not answer:  # the end of the input, too
+                raise RunError("stopped before it began; nothing was changed")
+            if answer.strip().lower() in ("", "y", "yes"):
+                return
+
     @contextmanager
     def status(self, text: str) -> Iterator[None]:
         """Begin a phase and show its line during the block; print it once if the output is not a terminal."""
@@ -66,6 +80,16 @@ class Console:
         else:
             self.say(f"{text} ...")
             yield
+
+
+def _reads_terminal() -> bool:
+    """Return True if standard input is a terminal that this process may read: one in the background would stop."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return False
+    try:
+        return not hasattr(os, "tcgetpgrp") or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:  # a terminal that controls no processes stops none
+        return True
 
 
 def print_json(report: dict[str, Any]) -> None:

@@ -18,7 +18,7 @@ from palpate.app.view.server.page import PAGE_FOLDER
 from palpate.core.faults import InputError
 from palpate.core.files import write_bytes
 from palpate.export.folder import complete_folder
-from palpate.export.library import lower_model
+from palpate.export.library import Library
 from palpate.export.targets import WEB_TARGETS
 from palpate.export.wasm import module_of_object
 from palpate.realtime.bodies.display_surface import Surface
@@ -31,12 +31,16 @@ RATE = 1000.0  # [Hz] of the periods
 WEB_TOOLS = ("sphere", "capsule", "grasp")  # whose sizes page/src/localSession.js computes
 
 
-def export_web(model: ReducedModel, folder: Path, title: str, tools: int = 2) -> dict[str, str]:
-    """Write a page for any web server, on which a browser steps a model; as `palpate.export.folder.export_c`."""
+def check_page() -> None:
+    """Raise `InputError` unless the page is built."""
     if not (PAGE_FOLDER / "index.html").is_file():
         raise InputError(f"the page must be built, got no {PAGE_FOLDER / 'index.html'}; see docs/howto/view.md")
-    about = _describe(model, title)
-    library = lower_model(model, MODEL_NAME, tools)
+
+
+def export_web(library: Library, folder: Path, title: str) -> dict[str, str]:
+    """Write a page for any web server, on which a browser steps a model; as `palpate.export.folder.export_c`."""
+    check_page()
+    about, library = _describe(library.model, title), library._replace(name=MODEL_NAME)
     modules = {name: module_of_object(library.emit(target), library.symbols) for name, target in WEB_TARGETS.items()}
     about["memory_size"], about["data_end"] = library.memory.size, max(each.data_end for each in modules.values())
     with complete_folder(folder) as part:

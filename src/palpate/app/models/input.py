@@ -20,6 +20,7 @@ from palpate.scenes.scene import Scene
 from palpate.surface.formats.first_bytes import refuse_misnamed
 
 if TYPE_CHECKING:  # it takes a second to import, before a page opens
+    from palpate.app.train.estimate import Estimate
     from palpate.reduction.hyper.model import ReducedModel
 
 INPUT_NAMES = f"{', '.join(PACKAGE_SCENES)}, a scene file, or a file of palpate train"
@@ -33,6 +34,14 @@ class Input:
     title: str
     scene: Scene | None = None
     model: ReducedModel | None = None
+
+    def training_needed(self, console: Console) -> Estimate | None:
+        """Return the estimate of the training of a model that is missing, after checks of its options, or None."""
+        if self.scene is None:
+            return None
+        from palpate.app.models.trained import training_needed
+
+        return training_needed(self.scene, console)
 
     def reduced(self, console: Console) -> ReducedModel:
         """Return the reduced model, trained where it is missing; print advice if its held-out errors are too large."""

@@ -6,6 +6,7 @@ from time import perf_counter
 
 import numpy as np
 
+from palpate.app.common.compile_ahead import only_compiled_code
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cloud import Cloud, box
 from palpate.scenes.spacing import NODES_PER_CELL, expected_nodes
@@ -16,6 +17,7 @@ STEP_PER_WAVE = 0.42  # stable step over the time of a pressure wave over a spac
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
 BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take
 SAMPLE_SECONDS = 0.3  # of the measurement of this machine
+GUESSED_SECONDS = 1e-7  # of a force evaluation per node, until it is compiled
 MIN_GAIN, MAX_GAIN = 0.9, 1.3  # speed of a body over that which it needs, within which its spacing stays
 COARSEST_SHARE = 1.1  # of the least nodes, at which a body is not made coarser
 FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
@@ -25,7 +27,8 @@ FINER_NODES = 6.7  # the nodes of half the spacing over those of the whole (vali
 def realtime_spacing(volume: float, material: Material) -> float:
     """Return the finest spacing [m] of a body of a volume [m^3] that this machine steps in real time.
 
-    The cost of a step is measured on a small block for some tenths of a second.
+    The cost of a step is measured on a small block for some tenths of a second; it is guessed where that would compile
+    what a second process compiles meanwhile. The body is filled again if its own steps take another time.
     """
     seconds = _seconds_per_node(material)
     wave_speed = np.sqrt((material.lame + 2 * material.shear_modulus) / material.density)
@@ -57,12 +60,14 @@ def better_spacing(cloud: Cloud, load: float) -> float | None:
 
 def _seconds_per_node(material: Material) -> float:
     """Return the time [s] of a step per node, from the faster force evaluations in some tenths of a second."""
-    body = EnergySolid(box((0.1, 0.1, 0.1), 0.0083, jitter=0.2), material, "z-")
-    u, work, durations = np.zeros((len(body.cloud), 3)), body.workspace(), list[float]()
-    body.step_force(u, work)  # compiles
-    end = perf_counter() + SAMPLE_SECONDS
-    while perf_counter() < end or not durations:
-        began = perf_counter()
-        body.step_force(u, work)
-        durations.append(perf_counter() - began)
-    return STEP_OVER_FORCE * float(np.quantile(durations, 0.2)) / len(body.cloud)
+    durations = list[float]()
+    with only_compiled_code():
+        body = EnergySolid(box((0.1, 0.1, 0.1), 0.0083, jitter=0.2), material, "z-")
+        u, work = np.zeros((len(body.cloud), 3)), body.workspace()
+        body.step_force(u, work)  # loads the code
+        end = perf_counter() + SAMPLE_SECONDS
+        while perf_counter() < end or not durations:
+            began = perf_counter()
+            body.step_force(u, work)
+            durations.append((perf_counter() - began) / len(body.cloud))
+    return STEP_OVER_FORCE * (float(np.quantile(durations, 0.2)) if durations else GUESSED_SECONDS)

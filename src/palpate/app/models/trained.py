@@ -6,13 +6,14 @@ The folder of a scene file is next to it, that of a scene of the package is in t
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from palpate.app.common.console import Console, count_nodes, percent
 from palpate.app.train.campaign import MODEL_FILE, Campaign, check_sizes
+from palpate.app.train.estimate import Estimate, estimate_training, keep_trained
 from palpate.app.train.folder import RECORDINGS_FOLDER, manifest_of, open_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.core.faults import FileFormatError, InputError
@@ -62,44 +63,77 @@ def train_compared(scene: Scene, console: Console, workers: int) -> None:
             save(model, compared_file(scene, modes))
 
 
+def kept_model(scene: Scene, say: Callable[[str], None]) -> ReducedModel | None:
+    """Return the model in the folder of a scene, or None where one has to be trained.
+
+    An existing model stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``. It
+    is trained again if `scene` was opened with another setting of them. `say` is called with a line about such a model.
+    """
+    file, training = model_file(scene), scene.description.training
+    if not file.is_file():
+        return None
+    try:
+        model = load(file)
+    except FileFormatError as error:
+        say(f"{error}; training another")
+        return None
+    others = _other_sizes(scene, model)
+    if others.keys() & {key.rpartition(".")[2] for key in scene.settings}:
+        return None
+    if others:
+        sizes = " and ".join(f"{size} {name}, not {getattr(training, name)}" for name, size in others.items())
+        say(f"{file} has {sizes}; palpate train {scene.name} trains it again")
+    return model
+
+
+def training_needed(scene: Scene, console: Console, workers: int | None = None) -> Estimate | None:
+    """Return the estimate of the training of `trained_model`, or None where a model is kept.
+
+    Sizes and folders are checked first.
+    """
+    if kept_model(scene, lambda _: None) is not None:
+        return None
+    _check(scene)
+    with console.status("measuring this machine"):
+        return estimate_training(scene, scene.description.training, training_folder(scene), workers or _workers())
+
+
 def trained_model(scene: Scene, console: Console, workers: int | None = None) -> ReducedModel:
     """Return the reduced model of a scene from its folder; train a missing one.
 
-    An existing model stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``. It
-    is trained again if `scene` was opened with another setting of them. A stopped campaign is continued. By default one
-    process for each processor makes the runs, at most 4.
+    A stopped campaign is continued. By default one process for each processor makes the runs, at most 4.
     """
+    model = kept_model(scene, console.say)
+    if model is not None:
+        return model
+    _check(scene)
     folder, training = training_folder(scene), scene.description.training
-    if (folder / MODEL_FILE).is_file():
-        try:
-            model = load(folder / MODEL_FILE)
-        except FileFormatError as error:
-            console.say(f"{error}; training another")
-        else:
-            others = _other_sizes(scene, model)
-            if not others:
-                return model
-            if not others.keys() & {key.rpartition(".")[2] for key in scene.settings}:
-                sizes = " and ".join(f"{size} {name}, not {getattr(training, name)}" for name, size in others.items())
-                console.say(f"{folder / MODEL_FILE} has {sizes}; palpate train {scene.name} trains it again")
-                return model
-    try:
-        check_folder(folder, "cache" if scene.kind is SceneKind.PACKAGE else "folder")
-    except InputError as error:
-        raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
-    check_sizes(scene, training, recorded=(folder / RECORDINGS_FOLDER).is_dir())
-    runs = f"{'at most ' if training.tolerance else ''}{training.paths + training.held_out} runs of its full body"
     with console.status("preparing the full model (the first time on a machine compiles it, for about a minute)"):
         _ = scene.body
-    console.say(f"{scene.title} has no reduced model yet: {runs} are made now, and one is trained on them, once")
     console.say(f"the runs and the model are kept in {folder}")
-    with campaign_of(scene, folder, console, workers or min(os.cpu_count() or 1, MAX_WORKERS)) as campaign:
+    with campaign_of(scene, folder, console, workers or _workers()) as campaign:
         if training.tolerance:
             _, model, _ = campaign.train_to_tolerance(training.tolerance, training.paths, training.held_out)
         else:
             model = campaign.train(campaign.jobs(range(training.paths), training.held_out))
+    keep_trained(scene)
     console.say(f"trained {training.modes} modes, {count_nodes(model.report['nodes'])} sampled{_errors(model)}")
     return model
+
+
+def _workers() -> int:
+    return min(os.cpu_count() or 1, MAX_WORKERS)
+
+
+def _check(scene: Scene) -> None:
+    """Raise `InputError` for a scene whose model cannot be trained or kept, before its body is made."""
+    folder = training_folder(scene)
+    try:
+        check_folder(folder, "cache" if scene.kind is SceneKind.PACKAGE else "folder")
+    except InputError as error:
+        raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
+    check_sizes(scene, scene.description.training, recorded=(folder / RECORDINGS_FOLDER).is_dir())
+    scene.check_training()
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from palpate.app.run.tool_motion import tool_motion
 from palpate.app.session.opening import exit_on_signals, running_session
 from palpate.app.session.play import ToolPath, follow, play, read_script
 from palpate.app.session.session import Session
+from palpate.app.train.estimate import confirm
 from palpate.core.faults import number_in_range
 from palpate.core.files import check_folder, check_space, plain
 from palpate.dynamics.contact.tools import Contact
@@ -64,6 +65,10 @@ def run_realtime(
     rate = number_in_range("rate", rate, MIN_RATE, MAX_RATE, unit="Hz")
     check_folder(out)
     check_space(out, round(seconds * rate * BYTES_PER_PERIOD))
+    console, black_box = Console(), out / BLACK_BOX
+    training = None if full else opened.training_needed(console)
+    if training is not None:
+        confirm(console, training, "Train?", yes=True)  # only printed
     messages = None if script is None else read_script(script)
     tool: Contact | None = None
     path: ToolPath
@@ -74,7 +79,6 @@ def run_realtime(
         out.mkdir(parents=True, exist_ok=True)
         return Session(body, opened.title, rate, foundations, history=seconds, black_box=black_box)
 
-    console, black_box = Console(), out / BLACK_BOX
     with exit_on_signals(), running_session(opened, full, make, console, record, exact=True) as session:
         session.stop()  # so that the statistics begin with the tool
         if tool is not None:

@@ -102,7 +102,10 @@ class Campaign:
         began = perf_counter()
         self.make_runs(jobs)
         between = perf_counter()
-        model = self._make_model(jobs)
+        try:
+            model = self._make_model(jobs)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"all {len(jobs)} runs are kept; the same command trains on them") from None
         self.seconds["runs"] += between - began
         self.seconds["training"] += perf_counter() - between
         return model

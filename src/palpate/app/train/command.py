@@ -12,6 +12,7 @@ from palpate.app.common.console import Console
 from palpate.app.common.exit_status import DONE, UNTRUSTED, complain
 from palpate.app.train.campaign import Campaign, Round, check_sizes
 from palpate.app.train.cluster import check_dask
+from palpate.app.train.estimate import confirm, estimate_training, keep_trained
 from palpate.app.train.folder import RECORDINGS_FOLDER, manifest_of, open_campaign
 from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
@@ -47,6 +48,7 @@ def train(
     workers: int | None = None,
     cluster: str | None = None,
     out: Path | None = None,
+    yes: bool = False,
     as_json: bool = False,
 ) -> int:
     """Make the missing runs of a campaign, and train a reduced model on all of them.
@@ -58,7 +60,7 @@ def train(
     With a tolerance, the largest mean error on the held-out runs, paths are added until it is reached, at most `paths`;
     see `palpate.app.train.campaign.Campaign.train_to_tolerance`. The campaign also trains on the tool paths beyond
     trust of the recordings `more`, from now on. `cluster` is the address of a Dask scheduler, or the path of its file,
-    in place of processes on this machine.
+    in place of processes on this machine. With `yes` nobody is asked before work of minutes.
 
     Returns 0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
     """
@@ -79,6 +81,10 @@ def train(
     check_folder(out)
     if opened is not None:
         check_sizes(opened, chosen, recorded=bool(more) or (out / RECORDINGS_FOLDER).is_dir())
+        opened.check_training()
+        with console.status("measuring this machine"):
+            estimate = estimate_training(opened, chosen, out, workers)
+        confirm(console, estimate, "Train?", yes)
     with console.status("making the model ready (the first time on a machine compiles it, for about a minute)"):
         if opened is None:
             search_current_folder()
@@ -97,6 +103,8 @@ def train(
             jobs, model, rounds = campaign.train_to_tolerance(
                 chosen.tolerance, chosen.paths, chosen.held_out, more_modes=modes is None
             )
+        if opened is not None:
+            keep_trained(opened)
         supports = campaign.support_study(jobs)
         report_campaign(campaign_folder, made, jobs, model, campaign.seconds, rounds, supports, as_json)
     if "advice" in model.report:

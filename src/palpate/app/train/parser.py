@@ -9,6 +9,7 @@ from palpate.app.common.arguments import (
     add_json,
     add_parameter,
     add_parts,
+    add_yes,
     existing_file,
     path,
     whole,
@@ -63,4 +64,5 @@ def add_train(commands: Any) -> None:
     add("--cluster", metavar="ADDRESS", help=text)
     text = "folder for the campaign (default: next to a scene file; out/train of others)"
     add("--out", type=path, metavar="FOLDER", help=text)
+    add_yes(train)
     add_json(train, "the report")

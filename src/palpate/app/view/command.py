@@ -51,15 +51,17 @@ def view(
     reduced: bool = False,
     compare: bool = False,
     scene: str | None = None,
+    yes: bool = False,
     **shape: Any,
 ) -> int:
     """Show a body in real time on a page until interrupted.
 
-    The full solid of a scene or a surface is shown, and a reduced model that is kept for it takes over; with `refine`
-    one is trained in the background, and with `reduced` before anything is shown. `record` is the file of a recording
-    of the whole session, written when it ends, also by SIGTERM or SIGHUP. With `compare` the full model of the reduced
-    model's training scene is stepped, too; `scene`, ``"module:function"``, is the user's own, which the model must
-    name. `shape` has the options of a surface file, and those of a device (`palpate.app.device.options`).
+    The full solid of a scene or a surface is shown, and a reduced model that is kept for it takes over; with
+    `refine` one is trained in the background, and with `reduced` before anything is shown. `record` is the file of
+    a recording of the whole session, written when it ends, also by SIGTERM or SIGHUP. With `compare` the full model
+    of the reduced model's training scene is stepped, too; `scene`, ``"module:function"``, is the user's own, which
+    the model must name. With `yes` nobody is asked before a training of minutes. `shape` has the options of a
+    surface file, and those of a device (`palpate.app.device.options`).
 
     Returns 0; 1 if a recording, or its file for ParaView, was not written.
     """
@@ -88,6 +90,8 @@ def view(
             raise InputError(f"refine must be left out unless a page shows a full body, got {source!r:.60}")
         if full:
             opened = _damped(opened)
+        else:
+            _confirm_training(opened, yes or not isinstance(place, tuple))  # the page of a choice is open already
         end = opened.scene.held_group if opened.scene is not None and full else ""
         make = partial(_make_session, title=opened.title, compare=compare, scene=scene, end=end)
         name = _durations_name(opened, full, compare)
@@ -115,6 +119,16 @@ def _damped(opened: Input) -> Input:
         f"damping: {MASS_DAMPING:g} 1/s on this page, so that the body comes to rest; runs of the scene have none",
     ]
     return replace(opened, scene=damped)
+
+
+def _confirm_training(opened: Input, yes: bool) -> None:
+    """State what a training does where it is needed, and ask before a long one."""
+    console = Console()
+    training = opened.training_needed(console)
+    if training is not None:
+        from palpate.app.train.estimate import confirm
+
+        confirm(console, training, "Train?", yes)
 
 
 def _make_session(

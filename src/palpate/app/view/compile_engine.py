@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
+
 from palpate.core.parameters import read_section
-from palpate.core.processes import Answer, Receive
+from palpate.core.processes import LOWEST_PRIORITY, Answer, Receive
 from palpate.scenes.description import Tissue
 
 BLOCK_SIZE, BLOCK_SPACING = 0.1, 0.02  # [m] of a body whose engine has the same types
@@ -27,5 +29,7 @@ def compile_engine(receive: Receive, answer: Answer) -> None:
     session.start()  # compiles the loop
     session.close()
     answer(True)
+    if hasattr(os, "nice"):
+        os.nice(LOWEST_PRIORITY)  # the engine of the body runs now
     blade, middle = Blade([(-BLOCK_SPACING, 0, 0), (BLOCK_SPACING, 0, 0)], 1.0), BLOCK_SIZE / 2
     realtime_model(body, contact=Contact(blade, (middle, middle, 2 * BLOCK_SIZE)))  # compiles what a blade calls

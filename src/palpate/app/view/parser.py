@@ -8,6 +8,7 @@ from palpate.app.common.arguments import (
     Parser,
     add_command,
     add_parameter,
+    add_yes,
     existing_file,
     number,
     path,
@@ -54,6 +55,7 @@ def add_view(commands: Any) -> None:
     _add_address(view)
     text = "record the session, and write it to this file when the session ends"
     add("--record", type=path, metavar="FILE.h5", help=text)
+    add_yes(view)
     add_device(view)
     script = "palpate run SCENE|FILE --script FILE --seconds S, with --full for the full body of a scene file"
     view.moved = dict.fromkeys(("--headless", "--seconds", "--script", "--json"), script)

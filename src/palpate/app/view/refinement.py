@@ -150,6 +150,8 @@ class Refinement:
         elif "failed" in event:
             self._fail(event["failed"])
         else:
+            for line in event.get("estimate", ()):
+                self._console.say(line)
             with self._lock:
                 if self._is_followed:
                     self._phase, self._phase_began = event, monotonic()

@@ -21,6 +21,7 @@ from palpate.app.models.trained import (
     model_file,
     train_compared,
     trained_model,
+    training_needed,
 )
 from palpate.app.train.local import THREAD_VARIABLES
 from palpate.core.faults import DivergenceError, InputError
@@ -51,7 +52,8 @@ class TrainingProcess:
     def events(self) -> Iterator[dict[str, Any]]:
         """Yield the reports of the process until it ends; the last is ``trained`` or ``failed``.
 
-        ``phase`` has a text, and the time ``left`` [s] or None. ``trained`` has the file of the model, and its
+        ``phase`` has a text, and the time ``left`` [s] or None; that before a training also lines of an ``estimate``.
+        ``trained`` has the file of the model, and its
         mean ``errors`` on held-out runs by name. ``failed`` has a reason.
         """
         last: dict[str, Any] = {}
@@ -95,6 +97,9 @@ def train_in_process(receive: Receive, answer: Answer) -> None:
     """Train the scene of a description."""
 
     def train(scene: Scene, progress: Progress, workers: int) -> dict[str, Any]:
+        estimate = training_needed(scene, Console(progress.phase), workers)
+        if estimate is not None:
+            answer({"phase": "starting", "left": estimate.total, "estimate": estimate.lines()})
         model = trained_model(scene, Console(progress.phase, progress.runs), workers)
         progress.phase("compiling the engine")
         _compile_engine(model, scene)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
-import numba
 import numpy as np
 
-import palpate
 from palpate.app.common.compile_ahead import CompiledFunctions
+from palpate.app.common.compiled_code import code_digest
 from palpate.core.faults import FileFormatError, InputError
 from palpate.core.files import read_json, write_json
 from palpate.core.working_folder import cache_folder
@@ -57,7 +54,7 @@ class Preparation:
         self.surface = None if surface is None else coarsen(surface, MAX_PREVIEW_TRIANGLES)
         self.space = "" if surface is None else surface.space
         self._file = file or (cache_folder() or Path(os.devnull)) / "preparation.json"
-        self._code = _code_digest()
+        self._code = code_digest()
         self._durations: Durations = {}
         self._phase, self._began = "", monotonic()
         self._start = self._began
@@ -105,14 +102,6 @@ class Preparation:
             "fraction": fraction, "seconds_left": left, "functions_compiled": self._functions.count,
             "space": self.space, **self._about,
         }  # fmt: skip
-
-
-def _code_digest() -> str:
-    """Return a digest of the installed sources and of the folder of their compiled code."""
-    root = Path(palpate.__file__).parent
-    source_files = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in sorted(root.rglob("*.py"))]
-    settings = os.environ.get("NUMBA_CACHE_DIR", ""), numba.__version__, sys.version
-    return hashlib.sha256(repr((source_files, settings)).encode()).hexdigest()
 
 
 def _read_durations(file: Path) -> dict[str, Any]:
