@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 
+import numpy as np
 import pytest
 
 import palpate as pt
@@ -37,14 +38,15 @@ def test_notebooks_hide_the_frames_of_palpate_and_show_those_of_the_user(call):
     assert all(hidden == name.startswith("palpate") for name, hidden in frames)
 
 
-def test_a_function_that_the_user_gives_stays_in_the_traceback(bar, tissue):
-    def force(time):
+def test_a_function_that_the_user_gives_stays_in_the_traceback():
+    def motion(time):
         return pt.box((1, 1, 1), spacing=-time - 1)
 
+    ball = pt.tools.Contact(pt.tools.Sphere(0.01), motion)
     with pytest.raises(pt.InputError) as caught:
-        pt.SurfaceForce("x+", force=force)
+        ball.poses(np.zeros(1))
     shown = [frame.f_code.co_name for frame, _ in walked(caught.value) if not frame.f_locals.get("__tracebackhide__")]
-    assert shown[-1] == "force"
+    assert shown[-1] == "motion"
 
 
 @check_call

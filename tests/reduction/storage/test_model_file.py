@@ -395,7 +395,7 @@ def test_bodies_equilibria_and_reduced_models_are_saved_by_one_rule(trained, bar
     for thing in (solid, rest):
         with pytest.raises(pt.InputError, match=r"must end in \.vtkhdf \(.* for ParaView\), got 'x\.rom'"):
             thing.save(tmp_path / "x.rom")
-    with pytest.raises(pt.InputError, match="thing must be a Trajectory, an Equilibrium, a body or a .*, got 3"):
+    with pytest.raises(pt.InputError, match=r"thing must be a Trajectory, an Equilibrium, a body or a .*, got 3"):
         pt.save(3, tmp_path / "x.rom")
 
 
