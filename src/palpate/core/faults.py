@@ -18,7 +18,7 @@ Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
 # names of arguments in other programs, and palpate's
-ALIASES = {"dt": "step", "time_step": "step", "tol": "tolerance", "maxiter": "max_iterations", "bc": "fixed"}
+ARGUMENT_ALIASES = {"dt": "step", "time_step": "step", "tol": "tolerance", "maxiter": "max_iterations", "bc": "fixed"}
 
 
 class InputError(ValueError):
@@ -186,7 +186,7 @@ def argument_error(name: str, function: Any, options: Iterable[str], error: Type
     allowed = [each for each in inspect.signature(function).parameters if each not in ("self", "_", "__")]
     for option in options:
         if option not in allowed:
-            near = [ALIASES.get(option, ""), *get_close_matches(option, allowed, 1)]
+            near = [ARGUMENT_ALIASES.get(option, ""), *get_close_matches(option, allowed, 1)]
             remedy = next((f"; did you mean {each}?" for each in near if each in allowed), "; leave it out")
             return InputError(f"arguments of {name} must be among {', '.join(allowed)}, got {option}{remedy}")
     return InputError(f"arguments of {name} must be complete: {str(error).partition('() ')[2] or error}")

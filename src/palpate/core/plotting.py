@@ -17,11 +17,12 @@ from palpate.core.extras import require
 
 BLUE, GREY = "#0072B2", "#888888"
 SVG_WIDTH, SVG_HEIGHT, SVG_MARGIN = 320, 200, 34  # [px] of an SVG picture
+VIEW_ZOOM, MAX_INTERVALS = 0.92, 4  # of a body in a figure, so that labels have space; between ticks of an axis
 MAX_SHAPES = 2500  # of an SVG picture, which stays below some 200 kB
 MAX_POINTS = 300  # of a curve in an SVG picture
 # rows: right and up, from 30 degrees above the xy plane
 VIEW_MATRIX = np.array([[0.866, 0.5, 0.0], [-0.25, 0.433, 0.866]])
-LIGHT = np.array([0.3, -0.5, 0.81])  # direction to the light of a figure
+LIGHT_DIRECTION = np.array([0.3, -0.5, 0.81])  # direction to the light of a figure
 TOWARDS_VIEWER = np.cross(VIEW_MATRIX[0], VIEW_MATRIX[1])  # the viewer
 
 
@@ -90,8 +91,10 @@ def plot_body(points: Floats, triangles: Ints, axes: Any = None, values: Floats 
         surface.set_facecolor(_shaded(colours["rgb"], points[triangles]))
         surface.set_edgecolor((0.0, 0.0, 0.0, 0.15))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    axes.locator_params(nbins=4)
-    axes.set_aspect("equal")
+    lengths = {name: float(np.ptp(getattr(axes, f"get_{name}lim3d")())) for name in "xyz"}
+    axes.set_box_aspect(tuple(lengths.values()), zoom=VIEW_ZOOM)  # one scale for all axes
+    for name, length in lengths.items():
+        axes.locator_params(axis=name, nbins=max(1, round(MAX_INTERVALS * length / max(lengths.values()))))
     return axes
 
 
@@ -99,7 +102,7 @@ def _shaded(colours: Floats, corners: Floats) -> Floats:
     """Return colours (t, 4) of triangles with corners (t, 3, 3), darker where they face away from the light."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    light = 0.82 + 0.18 * (normals @ LIGHT)
+    light = 0.82 + 0.18 * (normals @ LIGHT_DIRECTION)
     return np.column_stack([colours[:, :3] * light[:, None], colours[:, 3]])
 
 

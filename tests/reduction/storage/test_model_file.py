@@ -395,6 +395,9 @@ def test_bodies_equilibria_and_reduced_models_are_saved_by_one_rule(trained, bar
     for thing in (solid, rest):
         with pytest.raises(pt.InputError, match=r"must end in \.vtkhdf \(.* for ParaView\), got 'x\.rom'"):
             thing.save(tmp_path / "x.rom")
+    pt.rollout(solid, duration=1e-3, every=1e-3, file=tmp_path / "run.h5", progress=False)
+    with pytest.raises(pt.FileFormatError, match=r"must be of a reduced model, got .*, a trajectory; use Trajectory"):
+        pt.load(tmp_path / "run.h5")
     with pytest.raises(pt.InputError, match=r"thing must be a Trajectory, an Equilibrium, a body or a .*, got 3"):
         pt.save(3, tmp_path / "x.rom")
 
@@ -404,7 +407,7 @@ def test_a_trajectory_is_refused(path):
     run = path.with_suffix(".h5")
     pt.Trajectory("full", none, vectors, vectors, {}, none, none, none, none, none, np.zeros((4, 3))).save(run)
     run.rename(path)
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is not a palpate reduced model"):
+    with pytest.raises(pt.FileFormatError, match=r"must be of a reduced model, got .*some\.rom, a trajectory"):
         pt.load(path)
 
 

@@ -31,7 +31,15 @@ JOIN_INTERVAL = 0.5  # [s]
 
 
 class LivePage(Described):
-    """A live page of a body. As the last value of a cell it shows the page there.
+    """A live page of a body, made by `palpate.show`. As the last value of a cell it shows the page there.
+
+    Parameters
+    ----------
+    host : Host
+        The server of the page.
+    title : str
+    work : function
+        Prepares the body, and steps it until the host stops.
 
     Attributes
     ----------

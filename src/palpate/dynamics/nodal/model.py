@@ -92,7 +92,7 @@ class NodalModel(Model):
     0.0
     """
 
-    _public = (
+    _public: ClassVar[tuple[str, ...]] = (
         "acceleration", "equilibrium_history", "evaluate", "external_force", "fibres", "fixed_mask", "force",
         "half_cell", "highest_frequency", "history_after", "nodal_force", "stability", "stencils", "strain_energy",
         "stress", "wave_speed", "weights",

@@ -6,7 +6,7 @@ from abc import ABCMeta, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -330,7 +330,7 @@ class Model(Described, metaclass=_Constant):
     (True, True)
     """
 
-    _public = (
+    _public: ClassVar[tuple[str, ...]] = (
         "accept_step", "advance", "cauchy_stress", "cloud", "conservative", "deformation_gradient", "displacement",
         "error_bounds", "fixed", "longest_step", "loose_nodes", "mass_damping", "masses", "material",
         "min_steps_per_frame", "name", "outputs", "pieces", "plot", "prepare", "save", "show", "stable_step", "state",

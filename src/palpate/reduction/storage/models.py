@@ -10,6 +10,7 @@ from palpate.core.files import check_ending
 from palpate.core.sealed import kind_of_file
 from palpate.dynamics.nodal.equilibrium import Equilibrium
 from palpate.dynamics.run.model import BODY_ENDINGS, Model
+from palpate.dynamics.run.trajectory import FORMAT as TRAJECTORY_FORMAT
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.lti import storage as linear_storage
@@ -137,6 +138,8 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
     check_ending(path, MODEL_ENDINGS, "path of a reduced model")
     path = Path(path)
     kind = kind_of_file(path)
+    if kind == TRAJECTORY_FORMAT:
+        raise FileFormatError(f"path must be of a reduced model, got {path}, a trajectory; use Trajectory.load")
     if system is None:
         if kind == linear_storage.FORMAT:
             raise FileFormatError(
