@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 import palpate as pt
+from palpate.core.describe import listed_names
 
 DOCS_FOLDER = Path(__file__).parents[1] / "docs"
 sys.path.insert(0, str(DOCS_FOLDER))
@@ -77,6 +78,76 @@ def test_the_example_of_a_public_name_runs_as_printed(name, tmp_path, monkeypatc
     messages: list[str] = []
     doctest.DocTestRunner(verbose=False).run(test, out=messages.append)
     assert not messages, "".join(messages)
+
+
+# names of an object
+
+AUTOCLASS = re.compile(r"^\.\. autoclass:: (\w+)\n((?:   :.*\n)*)", re.MULTILINE)
+PAGE_TEXT = "\n".join(page.read_text(encoding="utf-8") for page in ordered_pages())
+OPTIONS_BY_CLASS = dict(AUTOCLASS.findall(PAGE_TEXT))
+PUBLIC_CLASSES = [
+    name
+    for name in PUBLIC_NAMES
+    if isinstance(public_object(name), type) and not issubclass(public_object(name), BaseException)
+]
+
+
+def option_names(options: str, option: str) -> set[str] | None:
+    """Return the names of an option of a directive; None without the option, and an empty set for all."""
+    found = re.search(rf"^   :{option}:(.*)$", options, re.MULTILINE)
+    return None if found is None else set(re.findall(r"\w+", found[1]))
+
+
+def names_on_pages(kind: type) -> set[str]:
+    """Return the names of an object that the reference lists: in docstrings of its class and bases, and as members."""
+    listed: set[str] = set()
+    for base in kind.__mro__:
+        if base.__name__ not in OPTIONS_BY_CLASS or not base.__module__.startswith("palpate"):
+            continue
+        listed |= documented_parameters(inspect.cleandoc(base.__doc__ or ""))
+        options = OPTIONS_BY_CLASS[base.__name__]
+        members, excluded = option_names(options, "members"), option_names(options, "exclude-members") or set()
+        if members is not None:
+            names = dir(base) if ":inherited-members:" in options else vars(base)
+            own = {name for name in names if inspect.getdoc(getattr(base, name))}
+            listed |= (own & members if members else own) - excluded
+    return listed
+
+
+def unlisted_names(kind: type, names: list[str]) -> list[str]:
+    """Return those of the names in `dir` of objects of a class that the reference does not list."""
+    public = {name for name in names if not name.startswith("_") and not hasattr(tuple, name)}
+    former = {
+        name for name in public if str(getattr(getattr(kind, name, None), "__doc__", "")).startswith("Former name")
+    }
+    return sorted(public - former - names_on_pages(kind))
+
+
+@pytest.mark.lint
+@pytest.mark.parametrize("name", PUBLIC_CLASSES)
+def test_every_public_name_of_a_class_is_in_the_reference(name):
+    kind = public_object(name)
+    assert unlisted_names(kind, listed_names(kind, dir(kind))) == []
+
+
+def test_completion_lists_public_names_of_objects_alone(bar, tissue, held, run):
+    solid = pt.Solid(bar, tissue, fixed="x-")
+    reduced, projected = pt.hyper_reduce(solid, run, modes=3), pt.galerkin(held, run, modes=3)
+    prepared = solid.prepare([pt.Gravity()])
+    objects = [bar, solid, held, run, reduced, projected, solid.state(prepared), solid.stability, solid.stencils]
+    objects += [tissue, pt.equilibrium(solid, pt.Gravity()), pt.open_scene("beam"), pt.pod(run, held.weights, modes=2)]
+    for thing in objects:
+        assert unlisted_names(type(thing), dir(thing)) == [], type(thing).__name__
+    assert {"plot", "show", "save", "to_pyvista", "evaluate", "cut_surface"} <= {*dir(solid)}
+    assert {"slot", "step_body"}.isdisjoint(dir(solid))
+    assert hasattr(solid, "slot")
+
+
+def test_completion_lists_the_names_of_a_users_class():
+    class Own(pt.materials.NeoHookean):
+        stiffening = 2.0
+
+    assert {"stiffening", "C1", "shear_modulus"} <= {*dir(Own(C1=1e3, density=1060, poisson=0.45))}
 
 
 @pytest.mark.lint

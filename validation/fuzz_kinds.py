@@ -368,7 +368,7 @@ def journal_kind(folder: Path) -> Trial:
     A journal that ends before its last record does is a journal that was cut off, with one frame fewer.
     """
     path, run = folder / "sound.h5", pressed()
-    recorder = Recorder(path, run.model, run.points, run.stiffness_damping, "journal")
+    recorder = Recorder(path, run.model, run, run.stiffness_damping, "journal")
     model, prepared = bar(), bar().prepare([pt.Gravity()])
     state = model.state(prepared)
     for k in range(6):

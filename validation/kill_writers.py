@@ -27,9 +27,9 @@ import numpy as np
 from fuzz_kinds import bar, fingerprint, model, pressed, recording
 
 import palpate as pt
-from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.core.files import read_sealed_json, write_sealed_json
+from palpate.core.vtk import write_vtkhdf
 from palpate.realtime.black_box import RingBuffer, append_record, write_black_box
 from palpate.realtime.record import record_size
 
@@ -55,7 +55,8 @@ def writers() -> dict[str, Writer]:
         write_black_box(path, ring, 1, {})
 
     def paraview(path: Path, k: int) -> None:
-        write_vtkhdf(path, run_cloud, np.arange(2.0), {"displacement": run.displacements[:2] * k})
+        fields = {"displacement": run.displacements[:2] * k}
+        write_vtkhdf(path, run_cloud.points, run_cloud.triangles, np.arange(2.0), fields)
 
     run_cloud = bar().cloud
     import h5py

@@ -64,6 +64,7 @@ _HOME = {
     "select_time_step": "reduction.training.select_step",
     "load": "reduction.storage.models",
     "save": "reduction.storage.models",
+    "show": "app.view.show",
     "realtime_model": "realtime.bodies.model",
     "modal_derivatives": "reduction.basis.linear_modes",
     "vibration_modes": "reduction.basis.linear_modes",

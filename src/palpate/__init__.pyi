@@ -3,6 +3,7 @@ from palpate import lti as lti
 from palpate import materials as materials
 from palpate import tools as tools
 from palpate import typing as typing
+from palpate.app.view.show import show as show
 from palpate.core.faults import CloudError as CloudError
 from palpate.core.faults import DivergenceError as DivergenceError
 from palpate.core.faults import FileFormatError as FileFormatError

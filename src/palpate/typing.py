@@ -6,6 +6,7 @@ Functions return and take these objects; a program need not make one itself.
 import warnings
 from typing import TYPE_CHECKING, Any
 
+from palpate.app.view.show import LivePage
 from palpate.dynamics.contact.tools import Motion, Tool
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
@@ -34,6 +35,7 @@ __all__ = [
     "Evaluation",
     "ExpectedError",
     "LinearRealtime",
+    "LivePage",
     "Load",
     "Model",
     "Motion",

@@ -76,6 +76,41 @@ def test_a_cloud_plots_its_surface(bar):
     assert plane.name == "3d"
 
 
+@pytest.fixture(scope="module")
+def hung(bar, tissue):
+    """The bar in equilibrium under its weight, 100 times as large."""
+    return pt.equilibrium(pt.Solid(bar, tissue, fixed="x-"), pt.Gravity((0, 0, -981)))
+
+
+def test_a_body_is_drawn_where_it_is_with_the_colours_of_a_quantity(hung):
+    axes = hung.plot("stress")
+    z = (hung.model.cloud.points + hung.displacements)[:, 2]
+    np.testing.assert_allclose(axes.get_zlim3d(), (z.min(), z.max()), atol=2e-3)
+    assert z.min() < -5e-3
+    stress = hung.model.cauchy_stress(hung.displacements)
+    shear = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+    largest = np.sqrt(1.5 * (shear**2).sum(axis=(1, 2))).max()
+    colour_bar = axes.figure.axes[1]
+    assert colour_bar.get_ylabel() == "von Mises stress [kPa]"
+    assert colour_bar.get_ylim() == pytest.approx((0.0, 1e-3 * largest))
+    assert len(np.unique(axes.collections[0].get_facecolor(), axis=0)) > 20
+    assert [axes.get_xlabel(), axes.get_zlabel()] == ["x [m]", "z [m]"]
+
+
+def test_pressure_has_colours_on_both_sides_of_zero(hung):
+    low, high = hung.plot("pressure").figure.axes[1].get_ylim()
+    assert low == -high < 0
+    assert hung.plot().figure.axes[1].get_ylabel() == "displacement [mm]"
+
+
+def test_a_body_at_rest_and_an_unknown_quantity(hung):
+    assert len(hung.model.plot().figure.axes) == 1
+    with pytest.raises(pt.InputError, match="what must be 'displacement' or 'stress' or 'pressure', got 'strain'"):
+        hung.plot("strain")
+    with pytest.raises(pt.InputError, match=r"displacements must have shape \(112, 3\), got \(5, 3\)"):
+        hung.model.plot("stress", displacements=np.zeros((5, 3)))
+
+
 def test_a_cloud_without_triangles_plots_its_nodes(bar):
     bare = replace(bar, triangles=np.zeros((0, 3), dtype=np.int64))
     assert len(bare.plot().collections[0].get_offsets()) == len(bar)

@@ -6,7 +6,7 @@ table for a notebook, with figures of three digits.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
 from typing import Any, ClassVar, TypeVar
@@ -36,6 +36,7 @@ class Described:
     """
 
     _title: ClassVar[str] = ""  # name of a class that stands behind another one
+    _public: ClassVar[tuple[str, ...]]  # names that the reference lists, besides fields and those of bases; absent: all
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -81,6 +82,9 @@ class Described:
             line = longer
         return f"{line})"
 
+    def __dir__(self) -> list[str]:
+        return listed_names(type(self), object.__dir__(self))
+
     def _repr_html_(self) -> str:
         rows = "".join(
             f'<tr><th style="text-align:left;padding-right:1em">{escape(_plain(what))}</th>'
@@ -91,6 +95,19 @@ class Described:
         title = escape(self._title or type(self).__name__)
         table = f'<table><caption style="text-align:left"><b>{title}</b></caption><tbody>{rows}</tbody></table>'
         return f'<div style="display:flex;flex-wrap:wrap;gap:1em;align-items:center">{table}{self._picture()}</div>'
+
+
+def listed_names(kind: type, names: Iterable[str]) -> list[str]:
+    """Return the names of an object of a class for `dir`, those with an underscore included.
+
+    Where a class or a base has `_public`, they are these names, the fields, and the names of a user's class.
+    """
+    public = [vars(base)["_public"] for base in kind.__mro__ if "_public" in vars(base)]
+    if not public:
+        return list(names)
+    listed = {each.name for each in fields(kind)} if is_dataclass(kind) else set()
+    listed |= {name for base in kind.__mro__ if not base.__module__.startswith("palpate") for name in vars(base)}
+    return [name for name in names if name.startswith("_") or name in listed.union(*public)]
 
 
 def described_tuple(kind: type[Kind]) -> type[Kind]:
@@ -118,7 +135,7 @@ def format_quantity(value: Any, unit: str = "") -> str:
     if isinstance(value, int | np.integer):
         return f"{int(value):,}{tail}"
     if isinstance(value, float | np.floating):
-        scale, scaled_unit = _scaled(abs(float(value)), unit)
+        scale, scaled_unit = scaled(abs(float(value)), unit)
         return f"{_three(float(value) / scale)}{f' {scaled_unit}' if scaled_unit else ''}"
     if callable(value):
         return f"a function{f' [{unit}]' if unit else ''}"
@@ -140,13 +157,13 @@ def _joined(values: Any, otherwise: str) -> str:
 
 
 def _numbers(values: list[float], unit: str) -> str:
-    scale, scaled_unit = _scaled(max(map(abs, values)), unit)
+    scale, scaled_unit = scaled(max(map(abs, values)), unit)
     shown = ", ".join(_three(each / scale) for each in values[:MAX_LISTED_NUMBERS])
     more = ", ..." if len(values) > MAX_LISTED_NUMBERS else ""
     return f"{shown if len(values) == 1 else f'({shown}{more})'}{f' {scaled_unit}' if scaled_unit else ''}"
 
 
-def _scaled(size: float, unit: str) -> tuple[float, str]:
+def scaled(size: float, unit: str) -> tuple[float, str]:
     """Return a divisor, and the unit with its prefix, so that a size lies from 1 to 1000 if possible."""
     power = POWER_BY_UNIT.get(unit, 1)
     prefixes = LENGTH_BY_POWER if unit in POWER_BY_UNIT else PREFIX_BY_POWER if unit in PREFIXED_UNITS else {0: unit}

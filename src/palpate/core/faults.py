@@ -9,13 +9,22 @@ import inspect
 import math
 import sys
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
-from typing import Any, cast
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar, cast
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+# names of arguments in other programs, and palpate's
+ARGUMENT_ALIASES = {"dt": "step", "time_step": "step", "tol": "tolerance", "maxiter": "max_iterations", "bc": "fixed"}
 
 
 class InputError(ValueError):
     """Invalid argument: out of range, unknown, or inconsistent with another one.
+
+    Notebooks show its message below the line of the user, without palpate's own frames.
 
     Examples
     --------
@@ -26,6 +35,10 @@ class InputError(ValueError):
     ...     print(error)
     spacing must be in [1e-09, 1e+09] m, got -0.005
     """
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)
+        _hide_frames()
 
 
 class ChoiceError(InputError):
@@ -134,7 +147,49 @@ class DivergenceError(RuntimeError):
 
     def __init__(self, message: str, trajectory: object = None) -> None:
         super().__init__(message)
+        _hide_frames()
         self.trajectory = trajectory
+
+
+def _hide_frames() -> None:
+    """Mark the frames of palpate by the local variable with which IPython and pytest leave them out of tracebacks."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None:
+        frame = frame.f_back
+        name = frame.f_globals.get("__name__", "")
+        if name.partition(".")[0] in ("palpate", "contextlib") and frame.f_code.co_name != "<module>":
+            frame.f_locals["__tracebackhide__"] = True
+
+
+def check_call(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """Let a function refuse arguments that it does not have, and missing ones, by `InputError`."""
+
+    @wraps(function)
+    def call(*arguments: Parameters.args, **options: Parameters.kwargs) -> Result:
+        try:
+            return function(*arguments, **options)
+        except TypeError as error:
+            if is_of_call(error):
+                raise argument_error(function.__name__, function, options, error) from None
+            raise
+
+    return call
+
+
+def is_of_call(error: TypeError) -> bool:
+    """Return whether the call in the present frame has raised an error, and not the function that it calls."""
+    return error.__traceback__ is not None and error.__traceback__.tb_next is None
+
+
+def argument_error(name: str, function: Any, options: Iterable[str], error: TypeError) -> InputError:
+    """Return the error of a call of a function with unknown or missing arguments."""
+    allowed = [each for each in inspect.signature(function).parameters if each not in ("self", "_", "__")]
+    for option in options:
+        if option not in allowed:
+            near = [ARGUMENT_ALIASES.get(option, ""), *get_close_matches(option, allowed, 1)]
+            remedy = next((f"; did you mean {each}?" for each in near if each in allowed), "; leave it out")
+            return InputError(f"arguments of {name} must be among {', '.join(allowed)}, got {option}{remedy}")
+    return InputError(f"arguments of {name} must be complete: {str(error).partition('() ')[2] or error}")
 
 
 def number_in_range(
@@ -198,11 +253,16 @@ def warn_of_unit(name: str, value: float, low: float, high: float, unit: str, re
     """Warn, where the package is called from, of a value that only another unit explains."""
     if low <= value <= high:
         return
-    level, frame = 1, sys._getframe(0)
+    message = f"{name} should be from {low:g} to {high:g} {unit}, got {value:.4g} {unit}; {remedy}"
+    warnings.warn(message, UnitWarning, stacklevel=user_level())
+
+
+def user_level() -> int:
+    """Return the level in the stack of the line that calls palpate, for a warning of the caller of this function."""
+    level, frame = 0, sys._getframe(0)
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == "palpate":
         level, frame = level + 1, frame.f_back
-    message = f"{name} should be from {low:g} to {high:g} {unit}, got {value:.4g} {unit}; {remedy}"
-    warnings.warn(message, UnitWarning, stacklevel=level)
+    return level
 
 
 def check_arguments(function: Any, arguments: Iterable[str], name: str) -> None:

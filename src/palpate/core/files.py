@@ -14,7 +14,7 @@ import shutil
 import stat
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
@@ -36,11 +36,19 @@ BRACKET_PATTERN = re.compile(
 )
 
 
-def check_ending(path: str | Path, endings: Sequence[str], what: str, remedy: str = "change the ending") -> None:
-    """Refuse a name whose ending states another format than those of `what`; a name without an ending is allowed."""
-    ending, shown = Path(path).suffix.lower(), [each for each in endings if each != UNFINISHED_ENDING]
-    if ending and ending not in endings:
-        raise InputError(f"{what} must end in {' or '.join(shown)}, got {brief(Path(path).name)}; {remedy}")
+def check_ending(path: str | Path, endings: Mapping[str, str], what: str) -> str:
+    """Return the ending of a name; refuse one that states another format than those of `what`.
+
+    `endings` have what a file of each holds. The first is that of a name without an ending. Names that end as files of
+    writers that did not end are allowed.
+    """
+    ending = Path(path).suffix.lower()
+    if ending in ("", UNFINISHED_ENDING):
+        return next(iter(endings))
+    if ending not in endings:
+        listed = " or ".join(f"{each} ({holds})" for each, holds in endings.items())
+        raise InputError(f"{what} must end in {listed}, got {brief(Path(path).name)}; change the ending")
+    return ending
 
 
 @contextmanager

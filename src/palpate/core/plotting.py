@@ -17,10 +17,12 @@ from palpate.core.extras import require
 
 BLUE, GREY = "#0072B2", "#888888"
 SVG_WIDTH, SVG_HEIGHT, SVG_MARGIN = 320, 200, 34  # [px] of an SVG picture
+VIEW_ZOOM, MAX_INTERVALS = 0.92, 4  # of a body in a figure, so that labels have space; between ticks of an axis
 MAX_SHAPES = 2500  # of an SVG picture, which stays below some 200 kB
 MAX_POINTS = 300  # of a curve in an SVG picture
 # rows: right and up, from 30 degrees above the xy plane
 VIEW_MATRIX = np.array([[0.866, 0.5, 0.0], [-0.25, 0.433, 0.866]])
+LIGHT_DIRECTION = np.array([0.3, -0.5, 0.81])  # direction to the light of a figure
 TOWARDS_VIEWER = np.cross(VIEW_MATRIX[0], VIEW_MATRIX[1])  # the viewer
 
 
@@ -62,17 +64,46 @@ def plot_singular_values(values: Floats, modes: int, axes: Any = None) -> Any:
     return axes
 
 
-def plot_body(points: Floats, triangles: Ints, axes: Any = None) -> Any:
-    """Draw the surface of a body in space, or the nodes (n, 3) [m] of one without triangles, and return the axes."""
+def plot_body(points: Floats, triangles: Ints, axes: Any = None, values: Floats | None = None, label: str = "") -> Any:
+    """Draw the surface of a body in space, or the nodes (n, 3) [m] of one without triangles, and return the axes.
+
+    Values (n,) at the points give colours; `label` is what they are, with the unit. If some are negative, white is 0.
+    """
     axes = _axes(axes, projection="3d")
+    colours: dict[str, Any] = {}
+    if values is not None:
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+
+        high, low = float(values.max()), float(values.min())
+        most = max(high, -low) or 1.0
+        limits, name = (Normalize(-most, most), "RdBu_r") if low < 0 else (Normalize(0.0, most), "viridis")
+        scale = ScalarMappable(limits, name)
+        axes.figure.colorbar(scale, ax=axes, label=label, shrink=0.6, pad=0.12)
+        colours = {"rgb": scale.to_rgba(values[triangles].mean(axis=1) if len(triangles) else values)}
     x, y, z = points.T
-    if len(triangles):
+    if not len(triangles):
+        axes.scatter(x, y, z, s=4, color=colours.get("rgb", BLUE))
+    elif values is None:
         axes.plot_trisurf(x, y, z, triangles=triangles, color="#9ecae1", edgecolor=GREY, linewidth=0.2)
     else:
-        axes.scatter(x, y, z, s=4, color=BLUE)
+        surface = axes.plot_trisurf(x, y, z, triangles=triangles, linewidth=0.2)
+        surface.set_facecolor(_shaded(colours["rgb"], points[triangles]))
+        surface.set_edgecolor((0.0, 0.0, 0.0, 0.15))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    axes.set_aspect("equal")
+    lengths = {name: float(np.ptp(getattr(axes, f"get_{name}lim3d")())) for name in "xyz"}
+    axes.set_box_aspect(tuple(lengths.values()), zoom=VIEW_ZOOM)  # one scale for all axes
+    for name, length in lengths.items():
+        axes.locator_params(axis=name, nbins=max(1, round(MAX_INTERVALS * length / max(lengths.values()))))
     return axes
+
+
+def _shaded(colours: Floats, corners: Floats) -> Floats:
+    """Return colours (t, 4) of triangles with corners (t, 3, 3), darker where they face away from the light."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    light = 0.82 + 0.18 * (normals @ LIGHT_DIRECTION)
+    return np.column_stack([colours[:, :3] * light[:, None], colours[:, 3]])
 
 
 def _axes(axes: Any, **options: Any) -> Any:

@@ -183,7 +183,9 @@ class Cloud(Described):
         """
         if not isinstance(name, str) or name not in self.groups:
             names = ", ".join(map(repr, sorted(self.groups)))
-            raise InputError(f"group must be one of {names}, got {brief(name)}")
+            raise InputError(
+                f"group must be one of {names}, got {brief(name)}; choose one of them, or add it by within"
+            )
         return self.groups[name]
 
     def within(self, name: str, centre: Sequence[float], radius: float, *, margin: float = BORDER_MARGIN) -> Cloud:

@@ -139,6 +139,7 @@ class ToolReading(Described):
     (2, [0.0, 0.0, 0.0])
     """
 
+    _public = ()
     position: Floats
     quaternion: Floats
     force: Floats
@@ -227,6 +228,7 @@ class Reading(PeriodRecord):
     ([0.0, 0.0, 0.0], False, inf)
     """
 
+    _public = ()
     force: Floats
     moment: Floats
     stiffness: Floats

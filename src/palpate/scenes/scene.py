@@ -72,6 +72,11 @@ class Scene(Described):
     (1.0, 0.01, 1)
     """
 
+    _public = (
+        "body", "cloud", "description", "duration", "every", "folder", "foundations", "kind", "loads", "material",
+        "name", "notes", "paths", "settings", "subtitle", "surface", "title", "with_body",
+    )  # fmt: skip
+
     def __init__(
         self, description: Description, folder: Path, name: str, settings: Mapping[str, Any] | None = None
     ) -> None:

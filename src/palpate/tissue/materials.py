@@ -102,6 +102,10 @@ class Material(Described, ABC):
     prony: Prony | None = None
     volumetric: str = QUADRATIC
     split: str = COUPLED
+    _public = (
+        "bulk_modulus", "coefficients", "energy", "first", "incompressible", "second", "shear_modulus", "strain_energy",
+        "stress",
+    )  # fmt: skip
 
     def __new__(cls, *unnamed: Any, **values: Any) -> Self:
         units = {f.name: f.metadata.get("unit", "") for f in fields(cls)}
@@ -282,7 +286,7 @@ class Material(Described, ABC):
 
     def _refuse_incompressible(self) -> None:
         if self.incompressible:
-            raise InputError("poisson must be below 0.5 for the stress of a solid, got 0.5; use a Membrane")
+            raise InputError("poisson must be below 0.5 for the stress of a solid, got 0.5; use 0.499, or a Membrane")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -111,9 +111,12 @@ def Hyperelastic(
     """
     law = law_of(energy)
     names = own_fields(law)
-    for name in names:
-        if name not in parameters:
-            raise InputError(f"{name} must be given, because the energy holds it; add {name}=..., or correct its name")
+    if missing := [name for name in names if name not in parameters]:
+        raise InputError(
+            f"{' and '.join(missing)} must be given, because the energy holds {'it' if len(missing) == 1 else 'them'}; "
+            f"add {', '.join(f'{name}=...' for name in missing)}, or correct the name: the energy depends on "
+            f"{', '.join((*INVARIANT_NAMES, *ISOCHORIC_POWERS))}, or on {', '.join(STRETCH_NAMES)}"
+        )
     for name in parameters:
         if name not in names:
             label = brief(parameters[name])

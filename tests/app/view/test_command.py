@@ -163,7 +163,7 @@ def shown(monkeypatch):
 
     def run(*words):
         found = []
-        monkeypatch.setattr(command, "_show", lambda opened, full, *more: found.append((opened, full, more[4])) or [])
+        monkeypatch.setattr(command, "_show", lambda each, *more: found.append((each.opened, each.full, more[3])) or [])
         assert main(["view", *words, "--no-browser"]) == 0
         return found[0]
 

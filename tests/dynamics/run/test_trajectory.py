@@ -198,7 +198,7 @@ def test_a_flipped_bit_is_refused_wherever_it_is(run, path, load):
 
 def cut(path, run, label="", blade=()):
     """Leave the journal of a run that was stopped at once; return where its records end."""
-    recorder, ends = Recorder(path, run.model, run.points, run.stiffness_damping, label), [0]
+    recorder, ends = Recorder(path, run.model, run, run.stiffness_damping, label), [0]
     for k in range(len(run.times)):
         own = run.contact_forces[:, 0] == k
         energies = {name: float(getattr(run, name)[k]) for name in ("kinetic", "strain", "external", "dissipated")}
@@ -250,7 +250,7 @@ def test_a_damaged_journal_is_refused_and_not_truncated(run, path):
 
 
 def test_a_run_that_diverges_at_once_leaves_a_file_that_is_loaded(held, path):
-    recorder = Recorder(path, held.name, held.cloud.points, held.stiffness_damping)
+    recorder = Recorder(path, held.name, held.cloud, held.stiffness_damping)
     recorder.close(0.1, complete=False)
     loaded = pt.Trajectory.load(path)
     assert (len(loaded.times), loaded.complete) == (0, False)
@@ -289,11 +289,39 @@ def test_an_unwritable_place_is_named(run, held, tmp_path):
 
 @pytest.mark.parametrize("name", ["run.vtk", "run.vtkhdf", "run.xyz", "run.rom"])
 def test_another_ending_is_refused_before_a_run(run, held, tmp_path, name):
-    with pytest.raises(pt.InputError, match=r"path of a trajectory must end in \.h5, got 'run\..*vtkhdf for ParaView"):
-        run.save(tmp_path / name)
-    with pytest.raises(pt.InputError, match=r"file must end in \.h5"):
+    with pytest.raises(pt.InputError, match=r"file must end in \.h5 \(the trajectory\), got 'run\."):
         pt.rollout(held, duration=1.0, every=1e-3, file=tmp_path / name)
+    if name != "run.vtkhdf":
+        with pytest.raises(pt.InputError, match=r"must end in \.h5 \(.*\) or \.vtkhdf \(.* for ParaView\), got 'run\."):
+            run.save(tmp_path / name)
     assert not os.listdir(tmp_path)
+
+
+def test_a_trajectory_keeps_its_surface(run, bar, path):
+    run.save(path)
+    np.testing.assert_array_equal(run.triangles, bar.triangles)
+    np.testing.assert_array_equal(pt.Trajectory.load(path).triangles, bar.triangles)
+
+
+def test_a_file_without_a_surface_is_one_of_an_earlier_version(run, path, forge):
+    run.save(path)
+    forge(path, lambda header, arrays: arrays.pop("triangles"), FORMAT, VERSION)
+    assert pt.Trajectory.load(path).triangles.shape == (0, 3)
+
+
+def test_paraview_and_pyvista_take_the_frames(run, tmp_path):
+    import pyvista
+    from vtkmodules.vtkIOHDF import vtkHDFReader
+
+    run.save(tmp_path / "run.vtkhdf")
+    reader = vtkHDFReader()
+    reader.SetFileName(str(tmp_path / "run.vtkhdf"))
+    reader.UpdateInformation()
+    reader.UpdateTimeStep(run.times[7])
+    for mesh in (pyvista.wrap(reader.GetOutputDataObject(0)), run.to_pyvista(run.times[7] + 1e-5)):
+        np.testing.assert_array_equal(mesh["displacement"], run.displacements[7])
+        np.testing.assert_array_equal(mesh["velocity"], run.velocities[7])
+    np.testing.assert_array_equal(run.to_pyvista()["displacement"], run.displacements[-1])
 
 
 def test_a_folder_in_place_of_a_file_is_refused(run, tmp_path):

@@ -368,9 +368,38 @@ def test_a_file_of_another_format_is_refused(path, content):
 
 @pytest.mark.parametrize("name", ["bar.vtk", "bar.xyz", "bar.lti", "bar.rom.txt"])
 def test_another_ending_is_refused_with_those_allowed(trained, tmp_path, name):
-    with pytest.raises(pt.InputError, match=r"path of a reduced model must end in .rom or .h5, got 'bar\."):
-        pt.save(trained, tmp_path / name)
+    for save in (trained.save, lambda path: pt.save(trained, path)):
+        with pytest.raises(pt.InputError, match=r"must end in \.rom \(.*\) or \.h5 \(.*\) or \.vtkhdf .*, got 'bar\."):
+            save(tmp_path / name)
     assert not os.listdir(tmp_path)
+    with pytest.raises(pt.InputError, match=r"path of a reduced model must end in \.rom"):
+        pt.load(tmp_path / name.replace(".lti", ".vtu"))
+
+
+def test_bodies_equilibria_and_reduced_models_are_saved_by_one_rule(trained, bar, tissue, tmp_path):
+    import pyvista
+
+    solid = pt.Solid(bar, tissue, fixed="x-")
+    rest = pt.equilibrium(solid, pt.SurfaceForce("x+", force=(0.1, 0, 0)))
+    for k, thing in enumerate((trained, solid, rest)):
+        path = tmp_path / f"{k}.vtkhdf"
+        thing.save(path)
+        content = pyvista.read(path)
+        pt.save(thing, path)
+        assert pyvista.read(path) == content
+    np.testing.assert_array_equal(content["displacement"], rest.displacements)
+    np.testing.assert_array_equal(content["stress"], rest.to_pyvista()["stress"])
+    assert content["stress"].max() > 100.0
+    trained.save(tmp_path / "trained.rom")
+    assert pt.load(tmp_path / "trained.rom").count == trained.count
+    for thing in (solid, rest):
+        with pytest.raises(pt.InputError, match=r"must end in \.vtkhdf \(.* for ParaView\), got 'x\.rom'"):
+            thing.save(tmp_path / "x.rom")
+    pt.rollout(solid, duration=1e-3, every=1e-3, file=tmp_path / "run.h5", progress=False)
+    with pytest.raises(pt.FileFormatError, match=r"must be of a reduced model, got .*, a trajectory; use Trajectory"):
+        pt.load(tmp_path / "run.h5")
+    with pytest.raises(pt.InputError, match=r"thing must be a Trajectory, an Equilibrium, a body or a .*, got 3"):
+        pt.save(3, tmp_path / "x.rom")
 
 
 def test_a_trajectory_is_refused(path):
@@ -378,7 +407,7 @@ def test_a_trajectory_is_refused(path):
     run = path.with_suffix(".h5")
     pt.Trajectory("full", none, vectors, vectors, {}, none, none, none, none, none, np.zeros((4, 3))).save(run)
     run.rename(path)
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is not a palpate reduced model"):
+    with pytest.raises(pt.FileFormatError, match=r"must be of a reduced model, got .*some\.rom, a trajectory"):
         pt.load(path)
 
 

@@ -33,15 +33,16 @@ class Console:
     """Lines about the work in progress, on standard error.
 
     `on_phase` is called with the text of every phase when it begins. `on_progress` is called with the share of it that
-    is done, from 0 to 1, and a text about it.
+    is done, from 0 to 1, and a text about it. A `quiet` one prints nothing.
     """
 
     def __init__(
         self,
         on_phase: Callable[[str], None] | None = None,
         on_progress: Callable[[float, str], None] | None = None,
+        quiet: bool = False,
     ) -> None:
-        self._console = make_console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+        self._console = make_console(stderr=True, highlight=False, markup=False, soft_wrap=True, quiet=quiet)
         self._on_phase, self._on_progress = on_phase, on_progress
 
     def say(self, text: str) -> None:

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.recordings.recording_journal import read_journal
 from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, Snapshot, ToolSnapshot
 from palpate.app.recordings.snapshot_arrays import (
@@ -37,11 +36,11 @@ from palpate.core.arrays import Floats
 from palpate.core.faults import InputError, integer_in_range, number_in_range
 from palpate.core.files import plain, regular_file, shortened
 from palpate.core.sealed import ArrayFile, check_arrays, loading, open_sealed, typed, write_sealed
+from palpate.core.vtk import write_vtkhdf
 from palpate.dynamics.contact.shapes import tool_parameters
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.journal import is_journal
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.surface import is_narrow
 from palpate.realtime.bodies.full_surface import display_surface
 from palpate.realtime.contract import MAX_TOOLS
@@ -124,12 +123,7 @@ def save_recording(path: Path, recording: Recording) -> None:
 
 def _write_surface(path: Path, recording: Recording) -> None:
     """Write the displacements and scalars of the surface to a file for ParaView, 25 snapshots a second."""
-    surface, cloud = display_surface(recording.model), recording.model.cloud
-    nothing = np.zeros(0, dtype=np.int64)
-    cloud_shown = Cloud(
-        surface.rest.astype(float), cloud.volumes[surface.nodes], nothing, np.zeros((0, 3)), np.zeros(0), {},
-        surface.triangles.astype(np.int64), cloud.spacing,
-    )  # fmt: skip
+    surface = display_surface(recording.model)
     chosen = [0]
     for k, at in enumerate(recording.times):
         if at >= recording.times[chosen[-1]] + VTKHDF_INTERVAL:
@@ -139,7 +133,8 @@ def _write_surface(path: Path, recording: Recording) -> None:
     for name in surface.scalars[1:]:
         values = [recording.snapshots[k].scalar(surface, name, m) for k, m in zip(chosen, displacements, strict=True)]
         shown[name] = np.array(values, dtype=float)
-    write_vtkhdf(path, cloud_shown, recording.times[chosen], shown)
+    points, triangles = surface.rest.astype(float), surface.triangles.astype(np.int64)
+    write_vtkhdf(path, points, triangles, recording.times[chosen], shown)
 
 
 def load_recording(path: Path) -> Recording:

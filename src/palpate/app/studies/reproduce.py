@@ -20,7 +20,6 @@ from palpate.app.common.compile_ahead import CompiledFunctions, second_process
 from palpate.app.common.console import Console
 from palpate.app.common.load_cases import build_load_case
 from palpate.app.common.report import deliver
-from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.studies.beam import BEAM_EXAMPLE
 from palpate.app.studies.membrane import MEMBRANE_EXAMPLE
 from palpate.app.studies.report import build_report, tables
@@ -29,6 +28,7 @@ from palpate.app.studies.study import PROJECTED, Study, compile_study, run_full,
 from palpate.core.extras import require
 from palpate.core.faults import integer_in_range
 from palpate.core.processes import Answer, Receive
+from palpate.core.vtk import write_vtkhdf
 from palpate.reduction.galerkin.model import GalerkinModel
 
 PAPER_EXAMPLES = {example.name: example for example in (BEAM_EXAMPLE, MEMBRANE_EXAMPLE)}
@@ -72,7 +72,8 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
         with console.status("writing the figures and the file for ParaView"):
             full = study.full
             fields = {"displacement": full.displacements, "velocity": full.velocities, **study.fields}
-            write_vtkhdf(out / f"{example}.vtkhdf", case.model.cloud, full.times, fields)
+            cloud = case.model.cloud
+            write_vtkhdf(out / f"{example}.vtkhdf", cloud.points, cloud.triangles, full.times, fields)
             drawn = [name for name in chosen.figures if name not in other.pictures]
             missing = draw_figures(chosen, drawn, [each for each in studies.values() if each], out)
             report["missing"] = missing | other.finish_pictures(study, out)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from palpate.app.common.arguments import option_names, parse_settings
 from palpate.app.common.console import Console
@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # it takes a second to import, before the page opens
     from palpate.app.view.server.preparation import Preparation
     from palpate.dynamics.loads.foundation import Foundation
 
-    Place = Host | tuple[int, str, bool, str | None]  # of a page: its host, or the arguments of `serve`
+    Place: TypeAlias = Host | tuple[int, str, bool, str | None]  # of a page: its host, or the arguments of `serve`
 
 STOP_SECONDS, TRAINING_STOP_SECONDS = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
 
@@ -89,13 +89,13 @@ def view(
         if refine and not full:
             raise InputError(f"refine must be left out unless a page shows a full body, got {source!r:.60}")
         if full:
-            opened = _damped(opened)
+            opened = damped(opened)
         else:
             _confirm_training(opened, yes or not isinstance(place, tuple))  # the page of a choice is open already
         end = opened.scene.held_group if opened.scene is not None and full else ""
         make = partial(_make_session, title=opened.title, compare=compare, scene=scene, end=end)
         name = _durations_name(opened, full, compare)
-        return FAILED if _show(opened, full, make, name, record, place, refine, device) else DONE
+        return FAILED if _show(Shown(opened, full, make), name, record, place, refine, device) else DONE
 
     with exit_on_signals():
         if is_label_map(source) and not shape.get("part"):
@@ -106,19 +106,27 @@ def view(
         return show(read(shape.get("part") or ()), address)
 
 
-def _damped(opened: Input) -> Input:
+class Shown(NamedTuple):
+    """What a page shows: an input, whether as a full body, and the function that makes its session."""
+
+    opened: Input
+    full: bool
+    make: MakeSession
+
+
+def damped(opened: Input) -> Input:
     """Return an input whose held body has the usual damping, in place of none: it would swing for minutes."""
     scene = opened.scene
     if scene is None or not scene.held_group or scene.description.tissue.mass_damping:
         return opened
     from palpate.tissue.liver import MASS_DAMPING
 
-    damped = scene.with_tissue(mass_damping=MASS_DAMPING)
-    damped.notes += [
+    other = scene.with_tissue(mass_damping=MASS_DAMPING)
+    other.notes += [
         *scene.notes,
         f"damping: {MASS_DAMPING:g} 1/s on this page, so that the body comes to rest; runs of the scene have none",
     ]
-    return replace(opened, scene=damped)
+    return replace(opened, scene=other)
 
 
 def _confirm_training(opened: Input, yes: bool) -> None:
@@ -165,7 +173,7 @@ def _first_surface(opened: Input, full: bool) -> Surface | None:
     return Surface(cloud.points, cloud.triangles) if has_surface else None
 
 
-def _first_page(opened: Input, full: bool, durations_name: str) -> Preparation:
+def first_page(opened: Input, full: bool, durations_name: str) -> Preparation:
     """Return what a page shows while the body is prepared: its surface, and notes about it."""
     from palpate.app.view.server.preparation import Preparation
 
@@ -178,9 +186,7 @@ def _first_page(opened: Input, full: bool, durations_name: str) -> Preparation:
 
 
 def _show(
-    opened: Input,
-    full: bool,
-    make: MakeSession,
+    shown: Shown,
     durations_name: str,
     record: Path | None,
     place: Place,
@@ -189,18 +195,36 @@ def _show(
 ) -> list[str]:
     """Show a body on a page until interrupted, first its surface; return failures of recordings."""
     from palpate.app.view.server.host import Host, serve
-    from palpate.app.view.surroundings import show_surroundings
 
-    scene, preparation = opened.scene if full else None, _first_page(opened, full, durations_name)
+    preparation = first_page(shown.opened, shown.full, durations_name)
     console = Console(preparation.begin)
-    patience = TRAINING_STOP_SECONDS if scene is None and opened.model is None else STOP_SECONDS
     serving = contextlib.nullcontext(place) if isinstance(place, Host) else serve(preparation, console, *place)
-    with serving as host, contextlib.ExitStack() as stack:
+    with serving as host:
         if isinstance(place, Host):
             host.prepare(preparation)
+        return run_page(shown, preparation, console, host, record=record, refine=refine, device=device)
+
+
+def run_page(
+    shown: Shown,
+    preparation: Preparation,
+    console: Console,
+    host: Host,
+    *,
+    record: Path | None = None,
+    refine: bool = False,
+    device: DeviceOptions | None = None,
+) -> list[str]:
+    """Prepare what the page of a host shows, and show it until the host stops; return failures of recordings."""
+    from palpate.app.view.surroundings import show_surroundings
+
+    opened, full, make = shown
+    scene = opened.scene if full else None
+    patience = TRAINING_STOP_SECONDS if scene is None and opened.model is None else STOP_SECONDS
+    with contextlib.ExitStack() as stack:
         if scene is not None:
             show_surroundings(host, scene)
-        with _preparing(host, preparation, patience):
+        with preparing(host, preparation, patience):
             wait = None
             if scene is not None and not preparation.code_is_compiled:
                 from palpate.app.common.compile_ahead import compile_ahead
@@ -236,7 +260,7 @@ def _show(
 
 
 @contextlib.contextmanager
-def _preparing(host: Host, preparation: Preparation, patience: float) -> Iterator[None]:
+def preparing(host: Host, preparation: Preparation, patience: float = STOP_SECONDS) -> Iterator[None]:
     """End a preparation, and show the page why it failed; Ctrl-C ends the program within a time [s]."""
     try:
         with _end_after_interrupt(patience):

@@ -66,6 +66,7 @@ class Blade(Described):
     wedge: float = thickness()
     height: float = parameter("m", 0.02, "height of the flat of the blade above the edge", above=0.0)
     kind: ClassVar[int] = BLADE
+    _public = ()
 
     def __post_init__(self) -> None:
         try:

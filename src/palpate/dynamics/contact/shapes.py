@@ -48,6 +48,7 @@ class Sphere(Described):
 
     radius: float = parameter("m", help="radius of the ball", above=0.0)
     kind: ClassVar[int] = CAPSULE
+    _public = ()
 
     @property
     def sizes(self) -> tuple[float, float, float]:
@@ -84,6 +85,7 @@ class Capsule(Described):
     radius: float = parameter("m", help="radius of the cylinder", above=0.0)
     length: float = parameter("m", help="length of the cylinder", above=0.0)
     kind: ClassVar[int] = CAPSULE
+    _public = ()
 
     @property
     def sizes(self) -> tuple[float, float, float]:
@@ -109,6 +111,7 @@ class Plane(Described):
     """
 
     kind: ClassVar[int] = PLANE
+    _public = ()
 
     @property
     def sizes(self) -> tuple[float, float, float]:
@@ -141,6 +144,7 @@ class Punch(Described):
     radius: float = parameter("m", help="radius of the cylinder", above=0.0)
     rounding: float | None = parameter("m", None, "radius of the edge's rounding", low=0.0)
     kind: ClassVar[int] = PUNCH
+    _public = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -177,6 +181,7 @@ class Forceps(Described):
     point: Sequence[float] = parameter("m", help="centre at rest")
     until: float = parameter("s", np.inf, "time of release", low=0.0)
     kind: ClassVar[int] = BONDED
+    _public = ()
 
     @property
     def sizes(self) -> tuple[float, float, float]:

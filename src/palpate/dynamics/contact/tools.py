@@ -85,6 +85,7 @@ class Contact(Described):
     True
     """
 
+    _public = ()
     tool: Tool
     motion: Motion
     friction: float = friction(0.0)
@@ -145,6 +146,7 @@ class Grasp(Described):
     True
     """
 
+    _public = ()
     point: Sequence[float] = parameter("m", help="grasped point")
     radius: float = parameter("m", help="radius around the point", above=0.0)
     motion: Motion = parameter(help="pose of the tool")

@@ -110,6 +110,7 @@ class PreparedLoads(Described):
     (True, ['x-'])
     """
 
+    _public = ()
     loads: tuple[Load, ...]
     sites: LoadSites
     supports: dict[str, NDArray[np.int64]]

@@ -50,6 +50,7 @@ class PrescribedMotion(Described):
     True
     """
 
+    _public = ()
     group: str
     displacement: Sequence[float] | Callable[[Floats, float], Any] = parameter("m", help="displacement of the group")
     until: float = parameter("s", np.inf, "time of release", low=0.0)

@@ -37,6 +37,7 @@ class Pressure(Described):
     True
     """
 
+    _public = ()
     group: str
     pressure: float | Callable[[float], float] = parameter("Pa", help="pressure, positive towards the body")
 

@@ -36,7 +36,7 @@ from palpate.dynamics.membrane.passes import (
 from palpate.dynamics.nodal.energy_model import NO_FIELDS, EnergyModel, Fields, precision
 from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
-from palpate.dynamics.run.model import Evaluation
+from palpate.dynamics.run.model import QUANTITY_UNITS, Evaluation
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
 from palpate.meshfree.stencils import Stencils, moving_least_squares
@@ -98,6 +98,9 @@ class Membrane(EnergyModel):
     coupled_by: ClassVar[tuple[str, ...]] = ("transposed", "lanes")  # a sheet has no smoothing
 
     name = "full"
+    _public = (
+        "prestretch", "principal_stress", "principal_stretches", "relaxed", "tension", "thickness", "wrinkled_area",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -244,6 +247,14 @@ class Membrane(EnergyModel):
         stress = np.zeros_like(F)
         stress[:, :, :2] = self.stress_at(F[:, :, :2] + (self.prestretch - 1) * np.eye(3, 2))
         return stress
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        return tuple(QUANTITY_UNITS)
+
+    def cauchy_stress(self, displacements: Floats) -> Floats:
+        """As `Model.cauchy_stress`: of a sheet that keeps its volume."""
+        return np.asarray(self.stress(displacements) @ np.swapaxes(self.deformation_gradient(displacements), 1, 2))
 
     def principal_stretches(self, displacements: Floats) -> Floats:
         """Return the principal stretches at every node, the larger first, (n, 2), for displacements (n, 3) [m]."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
 from palpate.compiled.threads import check_process
 from palpate.core.arrays import Floats
 from palpate.core.describe import Described, Fact
-from palpate.core.faults import DivergenceError, InputError, brief, integer_in_range, number_in_range
+from palpate.core.faults import DivergenceError, InputError, brief, check_call, integer_in_range, number_in_range
+from palpate.core.files import check_ending
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
@@ -22,7 +24,7 @@ from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.nodal.equilibrium_residual import EquilibriumResidual
 from palpate.dynamics.nodal.mixed_newton import MixedNewton
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.run.model import State, initial_field
+from palpate.dynamics.run.model import BODY_ENDINGS, State, initial_field
 from palpate.dynamics.run.partition import active_partitions
 from palpate.dynamics.run.reactions import group_forces
 
@@ -45,6 +47,8 @@ class Equilibrium(Described):
     strain_energy : float [J]
     reactions : mapping of group name to (3,) array [N]
         Force of every support and prescribed group on the body.
+    model : NodalModel
+        The body.
 
     Examples
     --------
@@ -62,6 +66,7 @@ class Equilibrium(Described):
     iterations: int
     strain_energy: float
     reactions: dict[str, Floats]
+    model: NodalModel
 
     def _facts(self) -> list[Fact]:
         return [
@@ -73,7 +78,21 @@ class Equilibrium(Described):
             *((f"force of {name!r}", force, "N") for name, force in self.reactions.items()),
         ]
 
+    def plot(self, what: str = "displacement", axes: Any = None) -> Any:
+        """Draw the deformed body, coloured by a quantity; see `palpate.typing.Model.plot`."""
+        return self.model.plot(what, axes, displacements=self.displacements)
 
+    def to_pyvista(self) -> Any:
+        """Return the body as a mesh of pyvista; see `palpate.typing.Model.to_pyvista`."""
+        return self.model.to_pyvista(self.displacements)
+
+    def save(self, path: str | Path) -> None:
+        """Write displacement, stress and pressure to a file for ParaView, ``.vtkhdf``; see `palpate.save`."""
+        check_ending(path, BODY_ENDINGS, "path of an equilibrium")
+        self.model.write_surface(Path(path), self.displacements)
+
+
+@check_call
 def equilibrium(
     model: NodalModel,
     loads: Load | Sequence[Load] = (),
@@ -150,7 +169,7 @@ def equilibrium(
                 "cut with detached='remove', or support them"
             ) from error
         energy = model.strain_energy(u, equations.history(u))
-        return Equilibrium(u, newton.residual, newton.iterations, energy, _reactions(equations, u))
+        return Equilibrium(u, newton.residual, newton.iterations, energy, _reactions(equations, u), model)
 
 
 def _reactions(equations: EquilibriumResidual, u: Floats) -> dict[str, Floats]:

@@ -69,28 +69,13 @@ class NodalModel(Model):
     ----------
     stencils : Stencils
         Stencils for derivatives of nodal fields.
-    mirror : Mirror
-        Images at planes of symmetry that the stencils contain.
-    planes : tuple of MirrorPlane
-        Planes of symmetry.
-    body : NamedTuple
-        Constants of the compiled passes.
-    formulation : Formulation
-    tension_compression_body : NamedTuple
-        As `body`, with fibres that carry compression, too.
-    step_body : NamedTuple
-        As `body`, in the precision of the steps: single in the energy form of a solid.
     half_cell : float
         Half the c of the half-cell balance at the boundary.
     fixed_mask : (n,) bool array
         True for the nodes that cannot move in any direction.
-    supported : SupportedNodes
-        Constraints of the nodes by the supports.
     stability : StabilityReport
     wave_speed : float [m/s]
         Estimate of the fastest wave speed, and limit of prescribed velocities in the damping forces.
-    tissue : TissueField
-    kinematics : Kinematics
     fibres : FibreLaw or None
         Fibres with a direction at every node.
 
@@ -107,10 +92,15 @@ class NodalModel(Model):
     0.0
     """
 
+    _public: ClassVar[tuple[str, ...]] = (
+        "acceleration", "equilibrium_history", "evaluate", "external_force", "fibres", "fixed_mask", "force",
+        "half_cell", "highest_frequency", "history_after", "nodal_force", "stability", "stencils", "strain_energy",
+        "stress", "wave_speed", "weights",
+    )  # fmt: skip
     stencils: Stencils
-    mirror: Mirror = NO_MIRROR
-    planes: tuple[MirrorPlane, ...] = ()
-    body: Any
+    mirror: Mirror = NO_MIRROR  # images at planes of symmetry that the stencils contain
+    planes: tuple[MirrorPlane, ...] = ()  # of symmetry
+    body: Any  # constants of the compiled passes; for steps, `step_body` in the precision of the steps
     formulation: Formulation
     half_cell: float
     fixed_mask: NDArray[np.bool_]

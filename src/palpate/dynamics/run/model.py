@@ -5,7 +5,8 @@ from __future__ import annotations
 from abc import ABCMeta, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,13 @@ from scipy.spatial import cKDTree
 
 from palpate.core.arrays import Floats, Ints
 from palpate.core.deprecation import renamed_attribute
-from palpate.core.describe import Described, Fact, described_tuple
-from palpate.core.faults import InputError, brief
+from palpate.core.describe import Described, Fact, described_tuple, listed_names, scaled
+from palpate.core.faults import InputError, argument_error, brief, is_of_call
+from palpate.core.plotting import plot_body
+from palpate.core.vtk import pyvista_grid, write_vtkhdf
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.loads.supports import Support
+from palpate.dynamics.material.stress_measures import pressure_of, von_mises
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
@@ -24,6 +28,8 @@ from palpate.tissue.materials import Material
 Nodes = NDArray[np.int64] | slice
 
 
+BODY_ENDINGS = {".vtkhdf": "the surface with its fields, for ParaView"}  # of files
+QUANTITY_UNITS = {"displacement": "m", "stress": "Pa", "pressure": "Pa"}  # of drawings and files
 MANY_STEPS = 10**9  # more than a call of `Model.advance` takes
 NEAR_NODES = 13  # of a deformation gradient by least squares, with the node itself
 RESOLVED_STEP = 1e-4  # [s]: resolves motions of tools and loads at ten steps a period of 1 kHz
@@ -256,19 +262,22 @@ class Outputs(Described):
 
 def initial_field(name: str, value: Any, count: int) -> Floats:
     """Return a copy of an initial field (n, 3), or zeros for None."""
+    return nodal_field(f"initial {name}", value, count)
+
+
+def nodal_field(name: str, value: Any, count: int) -> Floats:
+    """Return a copy of a field (n, 3), or zeros for None."""
     if value is None:
         return np.zeros((count, 3))
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(
-            f"initial {name} must be an array of numbers of shape {(count, 3)}, got {brief(value)}"
-        ) from None
+        raise InputError(f"{name} must be an array of numbers of shape {(count, 3)}, got {brief(value)}") from None
     if array.shape != (count, 3):
-        raise InputError(f"initial {name} must have shape {(count, 3)}, got {array.shape}")
+        raise InputError(f"{name} must have shape {(count, 3)}, got {array.shape}")
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if bad.size:
-        raise InputError(f"initial {name} must be finite, got {array[bad[0]]} at node {bad[0]}; correct that node")
+        raise InputError(f"{name} must be finite, got {array[bad[0]]} at node {bad[0]}; correct that node")
     return array
 
 
@@ -276,9 +285,17 @@ class _Constant(ABCMeta):
     """Metaclass of objects whose attributes cannot be set after their construction."""
 
     def __call__(cls, *args: Any, **options: Any) -> Any:
-        made = super().__call__(*args, **options)
+        try:
+            made = super().__call__(*args, **options)
+        except TypeError as error:
+            if is_of_call(error):
+                raise argument_error(cls.__name__, cls.__init__, options, error) from None  # type: ignore[misc]  # of the class itself
+            raise
         vars(made)["_constructed"] = True
         return made
+
+    def __dir__(cls) -> list[str]:
+        return listed_names(cls, super().__dir__())
 
 
 class Model(Described, metaclass=_Constant):
@@ -313,6 +330,12 @@ class Model(Described, metaclass=_Constant):
     (True, True)
     """
 
+    _public: ClassVar[tuple[str, ...]] = (
+        "accept_step", "advance", "cauchy_stress", "cloud", "conservative", "deformation_gradient", "displacement",
+        "error_bounds", "fixed", "longest_step", "loose_nodes", "mass_damping", "masses", "material",
+        "min_steps_per_frame", "name", "outputs", "pieces", "plot", "prepare", "save", "show", "stable_step", "state",
+        "stiffness_damping", "supports", "to_pyvista", "velocity", "volumes", "workspace",
+    )  # fmt: skip
     cloud: Cloud
     material: Material
     supports: tuple[Support, ...]
@@ -477,6 +500,118 @@ class Model(Described, metaclass=_Constant):
     def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
         """Return the most steps [s] until the next call of `after_steps`; without a blade it makes no difference."""
         return MANY_STEPS
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Names of the fields that the model draws and writes; only the displacement where it has no nodal stress."""
+        return ("displacement",)
+
+    def cauchy_stress(self, displacements: Floats) -> Floats:
+        """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3), for displacements (n, 3) [m]."""
+        raise NotImplementedError
+
+    def plot(self, what: str = "displacement", axes: Any = None, *, displacements: Floats | None = None) -> Any:
+        """Draw the deformed body: its surface, or its nodes where it has no surface.
+
+        Parameters
+        ----------
+        what : str
+            The colours: ``"displacement"`` [m], von Mises' ``"stress"`` [Pa], or ``"pressure"`` [Pa], minus a third of
+            the trace of the Cauchy stress.
+        axes : matplotlib.axes.Axes, optional
+            In three dimensions; new ones by default.
+        displacements : (n, 3) array, optional [m]
+            Such as ``run.displacements[-1]``; at rest by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        InputError
+            Another quantity, or matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import palpate as pt
+        >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+        >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+        >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+        >>> bar.plot("stress", displacements=0.1 * cloud.points).get_zlabel()
+        'z [m]'
+        """
+        if displacements is None and what == "displacement":
+            return self.cloud.plot(axes)
+        u = nodal_field("displacements", displacements, len(self.cloud))
+        if what not in self.quantities:
+            raise InputError(
+                f"what must be {' or '.join(map(repr, self.quantities))}, got {brief(what)}; choose one of them"
+            )
+        field = self.point_fields(u)[what]
+        values = np.linalg.norm(field, axis=1) if what == "displacement" else field
+        size, unit = scaled(float(np.abs(values).max()), QUANTITY_UNITS[what])
+        label = f"{'von Mises stress' if what == 'stress' else what} [{unit}]"
+        u[:, : self.cloud.points.shape[1]] += self.cloud.points
+        return plot_body(u, self.cloud.triangles, axes, values / size, label)
+
+    def point_fields(self, displacements: Floats) -> dict[str, Floats]:
+        """Return the displacement (n, 3) [m], the von Mises stress and the pressure (n,) [Pa] of displacements."""
+        if "stress" not in self.quantities:
+            return {"displacement": displacements}
+        stress = self.cauchy_stress(displacements)
+        return {"displacement": displacements, "stress": von_mises(stress), "pressure": pressure_of(stress)}
+
+    def to_pyvista(self, displacements: Floats | None = None) -> Any:
+        """Return the body as a mesh of pyvista.
+
+        Parameters
+        ----------
+        displacements : (n, 3) array, optional [m]
+            Such as ``run.displacements[-1]``; at rest by default.
+
+        Returns
+        -------
+        pyvista.UnstructuredGrid
+            Nodes in their reference positions, the triangles of the surface, and a vertex for every other node. Point
+            data: ``displacement`` [m], von Mises ``stress`` and ``pressure`` [Pa]. ``warp_by_vector("displacement")``
+            deforms it.
+
+        Raises
+        ------
+        InputError
+            The displacements have another shape, or pyvista is not installed.
+
+        Examples
+        --------
+        >>> import palpate as pt
+        >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+        >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+        >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+        >>> mesh = bar.to_pyvista(0.1 * cloud.points)
+        >>> mesh.n_points, sorted(mesh.point_data)
+        (112, ['displacement', 'pressure', 'stress'])
+        """
+        u = nodal_field("displacements", displacements, len(self.cloud))
+        return pyvista_grid(self.cloud.points, self.cloud.triangles, self.point_fields(u))
+
+    def write_surface(self, path: Path, displacements: Floats | None = None) -> None:
+        """Write displacements (n, 3) [m], by default zero, and their stress and pressure to a VTKHDF file."""
+        u = nodal_field("displacements", displacements, len(self.cloud))
+        fields = {name: values[None] for name, values in self.point_fields(u).items()}
+        write_vtkhdf(path, self.cloud.points, self.cloud.triangles, np.zeros(1), fields)
+
+    def save(self, path: str | Path) -> None:
+        """Write the body or reduced model to a file; see `palpate.save`."""
+        from palpate import save  # the public function, which imports all kinds of models
+
+        save(self, path)
+
+    def show(self, **options: Any) -> Any:
+        """Open the live page of the body; see `palpate.show`."""
+        from palpate import show  # the public function, which imports the server
+
+        return show(self, **options)
 
     def error_bounds(self, run: Trajectory) -> tuple[Floats, Floats]:
         """Return the error bounds of a run's displacement [m] and of its tool forces [N]; empty by default."""

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from palpate.core.arrays import Floats
+from palpate.core.sealed import typed
 from palpate.dynamics.run.journal import Journal
 from palpate.dynamics.run.model import Outputs
 from palpate.dynamics.run.series import FIELD_NAMES, GROUP_ARRAYS, NUMBER_NAMES, joined_records
-from palpate.dynamics.run.trajectory import Trajectory, from_arrays
+from palpate.dynamics.run.trajectory import MESH_ARRAYS, Trajectory, from_arrays
+from palpate.meshfree.cloud import Cloud
 
 Bounds = Callable[[Trajectory], tuple[Floats, Floats]]
 
@@ -23,15 +25,13 @@ class Recorder:
     """A collector of the frames of a run, with an optional file.
 
     During the run the file is a journal (`palpate.dynamics.run.journal`), which survives an interruption of the
-    program. `close` replaces it with the HDF5 file of the trajectory. The points are (n, d) [m]; for the label see
-    `Trajectory`.
+    program. `close` replaces it with the HDF5 file of the trajectory. For the label see `Trajectory`.
     """
 
-    def __init__(
-        self, path: Path | None, model: str, points: Floats, stiffness_damping: float, label: str = ""
-    ) -> None:
+    def __init__(self, path: Path | None, model: str, cloud: Cloud, stiffness_damping: float, label: str = "") -> None:
         self.path, self.model, self.label = path, model, label
-        self.points, self.stiffness_damping = np.asarray(points, dtype=float), float(stiffness_damping)
+        self.stiffness_damping = float(stiffness_damping)
+        self._mesh = typed({"points": cloud.points, "triangles": cloud.triangles}, MESH_ARRAYS)
         self.frames: list[dict[str, Any]] = []
         self._names: dict[str, list[str]] = {name: [] for name in GROUP_ARRAYS}
         self._former: Outputs | None = None
@@ -54,7 +54,7 @@ class Recorder:
         with _write_errors(self.path):
             if len(self.frames) == 1:
                 about = {name: getattr(self, name) for name in ("model", "label", "stiffness_damping")}
-                self._journal.add(about | self._names, {"points": self.points})
+                self._journal.add(about | self._names, self._mesh)
             self._journal.add({}, record)
             if len(self.frames) == 1:
                 self._journal.rename(self.path)
@@ -63,7 +63,7 @@ class Recorder:
         """Finish the file, and return the trajectory, with error bounds by a function of it."""
         header: dict[str, Any] = {"wall_seconds": wall_seconds, "complete": complete}
         header |= {name: getattr(self, name) for name in ("model", "label", "stiffness_damping")} | self._names
-        data = joined_records(self.frames, self._names, len(self.points)) | {"points": self.points}
+        data = joined_records(self.frames, self._names, len(self._mesh["points"])) | self._mesh
         run = from_arrays(header, data)
         if bounds is not None:
             displacement, force = bounds(run)

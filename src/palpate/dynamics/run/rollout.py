@@ -16,7 +16,7 @@ import numpy as np
 
 from palpate.compiled.threads import check_process
 from palpate.core.arrays import Floats
-from palpate.core.faults import DivergenceError, InputError, TrustWarning, number_in_range
+from palpate.core.faults import DivergenceError, InputError, TrustWarning, check_call, number_in_range, user_level
 from palpate.core.files import shortened
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed
 from palpate.dynamics.run.divergence import deformation_size, diverged
@@ -39,6 +39,7 @@ MIN_STEP_ULPS = 64  # smallest step, in spacings of floating-point numbers at it
 DEFAULT_MEMORY = 8e9  # [bytes] where the system reports none
 
 
+@check_call
 def rollout(
     model: Model,
     loads: Load | Sequence[Load] = (),
@@ -126,7 +127,7 @@ def rollout(
         work = model.workspace()
         outputs = _initial_outputs(model, state, prepared)
     path = None if file is None else Path(file)
-    recorder = Recorder(path, model.name, model.cloud.points, model.stiffness_damping, label)
+    recorder = Recorder(path, model.name, model.cloud, model.stiffness_damping, label)
     bounds = model.error_bounds
     began = perf_counter()
     try:
@@ -200,7 +201,7 @@ def _warn_out_of_training(run: Trajectory) -> None:
         f"the error indicator reached {run.trust[k]:.3g} at t = {run.times[k]:.4g} s, above 1: the model was not "
         "trained on such states; compare the run with the full model's, or train on runs like it",
         TrustWarning,
-        stacklevel=3,
+        stacklevel=user_level(),
     )
 
 
@@ -255,9 +256,7 @@ def _initial_outputs(model: Model, state: State, prepared: PreparedLoads) -> Out
         outputs = model.outputs(state, prepared)
         _check_outputs(model, state, prepared, outputs, 0.0)
     except DivergenceError as error:
-        error.trajectory = Recorder(None, model.name, model.cloud.points, model.stiffness_damping).close(
-            0.0, complete=False
-        )
+        error.trajectory = Recorder(None, model.name, model.cloud, model.stiffness_damping).close(0.0, complete=False)
         raise
     return outputs
 

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.core.arrays import Floats
+from palpate.core.arrays import Floats, Ints
 from palpate.core.describe import Described, Fact
 from palpate.core.faults import InputError, number_in_range
-from palpate.core.files import UNFINISHED_ENDING, check_ending, regular_file
+from palpate.core.files import check_ending, regular_file
 from palpate.core.plotting import curve_svg, plot_curves
 from palpate.core.sealed import Array, check_arrays, loading, open_sealed, write_sealed
+from palpate.core.vtk import pyvista_grid, write_vtkhdf
 from palpate.dynamics.run.journal import is_journal, read_record, records
 from palpate.dynamics.run.series import (
     EVERY_RUN,
@@ -32,9 +33,10 @@ from palpate.dynamics.run.series import (
 
 FORMAT, VERSION = "palpate trajectory", 4
 TRAJECTORY_REMEDY = "run the simulation again"
-TRAJECTORY_ENDINGS = (".h5", UNFINISHED_ENDING)
-PARAVIEW_REMEDY = "palpate view --record and palpate reproduce write .vtkhdf for ParaView"
+JOURNAL_ENDINGS = {".h5": "the trajectory"}  # of files that are written during a run
+TRAJECTORY_ENDINGS = JOURNAL_ENDINGS | {".vtkhdf": "the deformed body at all times, for ParaView"}
 POINTS_ARRAY = {"points": Array(("nodes", "space"), unit="m")}
+MESH_ARRAYS = POINTS_ARRAY | {"triangles": Array(("surface triangles", 3), "<i8", index_of="nodes")}
 HEADER_KEYS = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
 
@@ -61,8 +63,8 @@ class ErrorSeries:
 
 
 def check_trajectory_name(path: str | Path, what: str) -> None:
-    """Refuse a name for the file of a trajectory that ends as a file of another format."""
-    check_ending(path, TRAJECTORY_ENDINGS, what, PARAVIEW_REMEDY)
+    """Refuse a name for the file of a run that ends as a file of another format."""
+    check_ending(path, JOURNAL_ENDINGS, what)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -97,6 +99,8 @@ class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
         Number of time steps since the start.
     points : (n, d) array [m]
         Reference positions.
+    triangles : (t, 3) array
+        Surface triangles; empty for a body without a surface.
     wall_seconds : float [s]
         Computing time of the run.
     stiffness_damping : float [s]
@@ -163,6 +167,7 @@ class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
     stiffness_damping: float = 0.0
     complete: bool = True
     label: str = field(default="", kw_only=True)
+    triangles: Ints = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64), kw_only=True)
 
     def _facts(self) -> list[Fact]:
         frames, energy = len(self.times), self.kinetic + self.strain
@@ -276,18 +281,52 @@ class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
         seconds, complete = self.wall_seconds + other.wall_seconds, self.complete and other.complete
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
-    def save(self, path: str | Path) -> None:
-        """Write the trajectory to a sealed HDF5 file (`palpate.core.sealed`) atomically.
+    def to_pyvista(self, time: float | None = None) -> Any:
+        """Return the body at the frame nearest to a time as a mesh of pyvista.
+
+        Parameters
+        ----------
+        time : float, optional [s]
+            By default that of the last frame.
+
+        Returns
+        -------
+        pyvista.UnstructuredGrid
+            Nodes in their reference positions, the triangles of the surface, and a vertex for every other node. Point
+            data: ``displacement`` [m] and ``velocity`` [m/s]. `palpate.typing.Model.to_pyvista` adds the stress.
 
         Raises
         ------
         InputError
-            An array has values that are not finite, or the name ends in another way than ``.h5``.
+            The trajectory has no frames, the time is not a number, or pyvista is not installed.
+        """
+        if not len(self.times):
+            raise InputError("trajectory must have frames to be drawn, got none; run it again")
+        frame = -1 if time is None else int(np.abs(self.times - number_in_range("time", time, unit="s")).argmin())
+        fields = {"displacement": self.displacements[frame], "velocity": self.velocities[frame]}
+        return pyvista_grid(self.points, self.triangles, fields)
+
+    def save(self, path: str | Path) -> None:
+        """Write the trajectory to a file, completely or not at all.
+
+        Parameters
+        ----------
+        path : path
+            ``.h5``, the file of `load`: sealed HDF5 (`palpate.core.sealed`). ``.vtkhdf``, for ParaView: displacement
+            and velocity at all times.
+
+        Raises
+        ------
+        InputError
+            An array has values that are not finite, or the name ends in another way.
         OSError
             The file cannot be written; an existing file is unchanged.
         """
-        check_trajectory_name(path, "path of a trajectory")
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*NUMBER_NAMES, *POINTS_ARRAY, *LIST_ARRAYS)}
+        if check_ending(path, TRAJECTORY_ENDINGS, "path of a trajectory") == ".vtkhdf":
+            fields = {"displacement": self.displacements, "velocity": self.velocities}
+            write_vtkhdf(path, self.points, self.triangles, self.times, fields)
+            return
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*NUMBER_NAMES, *MESH_ARRAYS, *LIST_ARRAYS)}
         arrays |= {array_name(name, key): force for name in GROUP_ARRAYS for key, force in getattr(self, name).items()}
         rows = {name: getattr(self, name) for name in FIELD_NAMES}
         if not len(self.times):
@@ -347,10 +386,11 @@ def _check(header: dict[str, Any], data: dict[str, Any]) -> None:
         raise InputError(f"complete must be true or false, got {header['complete']!r:.60}")
     for name in ("wall_seconds", "stiffness_damping"):
         number_in_range(name, header[name], 0.0, unit="s")
-    declared = {name: SERIES[name].array for name in (*NUMBER_NAMES, *FIELD_NAMES)} | LIST_ARRAYS | POINTS_ARRAY
+    declared = {name: SERIES[name].array for name in (*NUMBER_NAMES, *FIELD_NAMES)} | LIST_ARRAYS | MESH_ARRAYS
     for what, each in GROUP_ARRAYS.items():
         declared |= {array_name(what, key): each for key in check_names(what, header[what])}
     data.setdefault("cuts", np.zeros((0, 10)))  # of files of runs without blades
+    data.setdefault("triangles", np.zeros((0, 3), dtype=np.int64))  # of earlier files
     for name in OPTIONAL_NAMES:
         values = data.setdefault(name, np.zeros(0))
         declared[name] = SERIES[name].array if len(values) else Array((0,))
@@ -362,7 +402,7 @@ def _check(header: dict[str, Any], data: dict[str, Any]) -> None:
 
 def from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     """Return the trajectory of a header and arrays."""
-    arrays = {name: data[name] for name in (*SERIES, *LIST_ARRAYS, *POINTS_ARRAY)}
+    arrays = {name: data[name] for name in (*SERIES, *LIST_ARRAYS, *MESH_ARRAYS)}
     groups: dict[str, Any] = {name: {key: data[array_name(name, key)] for key in header[name]} for name in GROUP_ARRAYS}
     numbers: dict[str, Any] = {name: float(header[name]) for name in ("wall_seconds", "stiffness_damping")}
     return Trajectory(**arrays, **groups, **numbers, **{name: header[name] for name in ("model", "label", "complete")})

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from palpate.core.arrays import Floats, Ints
 from palpate.core.describe import Fact
-from palpate.core.faults import InputError, integer_in_range, number_in_range
+from palpate.core.faults import InputError, brief, integer_in_range, number_in_range
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
 from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
 from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.tissue import tissue_of
 from palpate.dynamics.nodal.energy_model import EnergyModel
 from palpate.dynamics.nodal.model import History, NodalModel
-from palpate.dynamics.run.model import State
+from palpate.dynamics.run.model import QUANTITY_UNITS, State
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.surface import NO_CUT, CutSurface
 from palpate.meshfree.inversion import cells_between, inverted_share
@@ -110,6 +110,9 @@ class Solid(NodalModel):
 
     name = "full"
     _title = "Solid"
+    _public = (
+        "cut_surface", "energy_form", "form", "neighbours", "recovered_pressure", "released_nodes", "removed_nodes",
+    )  # fmt: skip
     forms: ClassVar[dict[str, type[Solid]]] = {}
     form: ClassVar[str]
     kinematics = Kinematics()
@@ -142,6 +145,8 @@ class Solid(NodalModel):
         smoothing: int = 27,
         fibres: FibreLaw | None = None,
     ) -> None:
+        if not isinstance(cast(object, cloud), Cloud):
+            raise InputError(f"cloud must be a Cloud, got {brief(cloud)}; make one by box or fill")
         if cloud.points.shape[1] != 3:
             raise InputError("cloud of Solid must be in space (d = 3), got a plane cloud; use Membrane")
         self.cloud, self.tissue = cloud, tissue_of(cloud, material, stiffness, fibres, self.form)
@@ -214,6 +219,10 @@ class Solid(NodalModel):
     def _recovery(self) -> Stencils:
         """Stencils of the recovered pressure, of the body and its images."""
         return _linear_fit(self._images.cloud, RECOVERY_NEIGHBOURS)
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        return tuple(QUANTITY_UNITS)
 
     def cauchy_stress(self, displacements: Floats, history: History = ()) -> Floats:
         """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3)."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats, Ints, Singles
 from palpate.core.faults import InputError
+from palpate.dynamics.material.stress_measures import pressure_of, von_mises
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.opening import NO_MEASURES, CutMeasures
@@ -100,12 +101,8 @@ class SurfaceScalars:
             )
         if name == "displacement":
             return np.asarray(np.linalg.norm(displacements, axis=1), dtype=np.float32)
-        stress = self.cauchy(coordinates)
-        mean = np.trace(stress, axis1=1, axis2=2) / 3
-        if name == "pressure":
-            return np.asarray(-mean, dtype=np.float32)
-        shear = stress - mean[:, None, None] * np.eye(3)
-        return np.asarray(np.sqrt(1.5 * np.einsum("nij,nij->n", shear, shear)), dtype=np.float32)
+        measure = pressure_of if name == "pressure" else von_mises
+        return np.asarray(measure(self.cauchy(coordinates)), dtype=np.float32)
 
 
 class Surface(SurfaceScalars):

@@ -71,6 +71,7 @@ class GalerkinModel(CoordinateModel):
     """
 
     name = "projected"
+    _public = ("basis", "full", "lifting", "spectrum")
 
     def __init__(self, full: NodalModel, basis: Basis, lifting: Floats | None = None, *, implicit: bool = True) -> None:
         if basis.modes.shape[1:] != (len(full.cloud), 3):
@@ -138,6 +139,13 @@ class GalerkinModel(CoordinateModel):
         work = self.workspace() if work is None else work
         self._projected_force(np.ascontiguousarray(coordinates), self._body, self._basis, work)
         return work.result / self.material.density
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        return self.full.quantities
+
+    def cauchy_stress(self, displacements: Floats) -> Floats:
+        return self.full.cauchy_stress(displacements)
 
     def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
         loads = listed(loads)

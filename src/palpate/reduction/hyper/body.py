@@ -102,6 +102,7 @@ class ReducedBody(Described):
     ((4, 4), True)
     """
 
+    _public = ("count", "energy", "force", "frequencies", "gradient", "mass", "stiffness", "vectors", "workspace")
     data: ReducedData
     law: MaterialPoint
     coefficients: tuple[float, ...]

@@ -21,7 +21,7 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.material.relaxation import restore_history, saved_history
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.contact_state import steps_between_checks
-from palpate.dynamics.run.model import Nodes, Outputs, State, StepReport, initial_field
+from palpate.dynamics.run.model import QUANTITY_UNITS, Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import contact_outputs
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.basis.coordinates import CoordinateModel
@@ -99,6 +99,9 @@ class ReducedModel(CoordinateModel):
 
     name = "reduced"
     conservative = True
+    _public = (
+        "body", "count", "data", "expected_error", "report", "single", "step", "stress", "trust", "with_step",
+    )  # fmt: skip
     tolerance = NEWTON_TOLERANCE / DIFFERENCE_STEP  # of Newton's method
 
     def __init__(self, data: ReducedData, *, step: float | None = None, single: bool = True) -> None:
@@ -494,6 +497,14 @@ class ReducedModel(CoordinateModel):
                 "model must be a full model to return the stress at nodes, got a reduced membrane; use Membrane"
             )
         return self.data.tissue.stress(self.body.gradient(displacements) + np.eye(3))
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        return tuple(QUANTITY_UNITS)[:1] if self.data.kinematics.sheet else tuple(QUANTITY_UNITS)
+
+    def cauchy_stress(self, displacements: Floats) -> Floats:
+        F = self.body.gradient(displacements) + np.eye(3)
+        return np.asarray(self.stress(displacements) @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None])
 
     def with_report(self, entries: Mapping[str, Any]) -> ReducedModel:
         """Return this model with some entries of its report replaced or added."""

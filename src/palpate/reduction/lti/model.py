@@ -69,6 +69,9 @@ class LinearModel(CoordinateModel):
     """
 
     name = "linear"
+    _public = (
+        "count", "frequency_response", "poles", "reduced", "report", "responses", "stable", "system",
+    )  # fmt: skip
     min_steps_per_frame = 20
 
     def __init__(self, system: LinearSystem, reduced: Reduced, report: Mapping[str, Any] | None = None) -> None:
@@ -115,6 +118,13 @@ class LinearModel(CoordinateModel):
         return self.reduced.transfer(1j * np.atleast_1d(np.asarray(frequencies, dtype=float)))
 
     # loads
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        return self.full.quantities
+
+    def cauchy_stress(self, displacements: Floats) -> Floats:
+        return self.full.cauchy_stress(displacements)
 
     def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
         return prepare_linear_loads(self.system, loads)

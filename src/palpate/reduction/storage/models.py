@@ -1,13 +1,17 @@
-"""Files of reduced models, hyper-reduced and linear."""
+"""Files of models, runs and equilibria, by the ending of their name."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import overload
+from typing import cast, overload
 
-from palpate.core.faults import FileFormatError, InputError
+from palpate.core.faults import FileFormatError, InputError, brief
 from palpate.core.files import check_ending
 from palpate.core.sealed import kind_of_file
+from palpate.dynamics.nodal.equilibrium import Equilibrium
+from palpate.dynamics.run.model import BODY_ENDINGS, Model
+from palpate.dynamics.run.trajectory import FORMAT as TRAJECTORY_FORMAT
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.lti import storage as linear_storage
 from palpate.reduction.lti.model import LinearModel
@@ -15,22 +19,29 @@ from palpate.reduction.lti.system import LinearSystem
 from palpate.reduction.storage import model_file
 from palpate.reduction.storage.model_file import load_hyper_reduced, save_hyper_reduced
 
-REDUCED_ENDINGS, LINEAR_ENDINGS = (".rom", ".h5"), (".lti", ".h5")  # of files
+MODEL_FILE = "the model, for palpate.load"
+REDUCED_ENDINGS = {".rom": MODEL_FILE, ".h5": MODEL_FILE} | BODY_ENDINGS
+LINEAR_ENDINGS = {".lti": MODEL_FILE, ".h5": MODEL_FILE} | BODY_ENDINGS
+MODEL_ENDINGS = {".rom": "a reduced model", ".lti": "a linear one", ".h5": "either"}
+Saved = Model | Trajectory | Equilibrium
 
 
-def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
-    """Write a reduced model to one checked file, completely or not at all.
+def save(thing: Saved, path: str | Path) -> None:
+    """Write a model, a run or an equilibrium to one file, completely or not at all; the ending names the format.
 
     Parameters
     ----------
-    model : ReducedModel or LinearModel
+    thing : Model, Trajectory or Equilibrium
     path : path
-        Ends in ``.rom``, or in ``.lti`` for a linear model; ``.h5`` and a name without an ending are allowed.
+        ``.rom``: a reduced model; ``.lti``: a linear model; ``.h5``: one of these, or a trajectory. They are read by
+        `load` and `Trajectory.load`. ``.vtkhdf``, for ParaView: the nodes and the surface of all of these, and of a
+        body or an equilibrium; with displacement, velocity of a trajectory, stress and pressure of the others. A name
+        without an ending is allowed for reduced models and trajectories.
 
     Raises
     ------
     InputError
-        The model is of another kind, the name ends in another way, or its file could not be read back: a custom
+        The object is of another kind, the name ends in another way, or its file could not be read back: a custom
         material, or numbers that are not finite.
     OSError
         The path is not writable or the disk is full. An existing file is unchanged.
@@ -51,14 +62,30 @@ def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
     >>> pt.load(path).count == model.count
     True
     """
-    if isinstance(model, ReducedModel):
-        check_ending(path, REDUCED_ENDINGS, "path of a reduced model")
-        save_hyper_reduced(model, path)
-    elif isinstance(model, LinearModel):
-        check_ending(path, LINEAR_ENDINGS, "path of a linear model")
-        linear_storage.save_linear(model, path)
+    if isinstance(thing, Trajectory | Equilibrium):
+        thing.save(path)
+    elif not isinstance(cast(object, thing), Model):
+        raise InputError(
+            f"thing must be a Trajectory, an Equilibrium, a body or a reduced model, got {brief(thing)}; save those"
+        )
+    elif isinstance(thing, ReducedModel | LinearModel):
+        _save_model(thing, path)
     else:
-        raise InputError(f"model must be a ReducedModel or a LinearModel, got {type(model).__name__}; reduce it first")
+        check_ending(path, BODY_ENDINGS, "path of a body")
+        thing.write_surface(Path(path))
+
+
+def _save_model(model: ReducedModel | LinearModel, path: str | Path) -> None:
+    if isinstance(model, ReducedModel):
+        ending = check_ending(path, REDUCED_ENDINGS, "path of a reduced model")
+    else:
+        ending = check_ending(path, LINEAR_ENDINGS, "path of a linear model")
+    if ending in BODY_ENDINGS:
+        model.write_surface(Path(path))
+    elif isinstance(model, ReducedModel):
+        save_hyper_reduced(model, path)
+    else:
+        linear_storage.save_linear(model, path)
 
 
 @overload
@@ -108,8 +135,11 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
     >>> pt.rollout(pt.load(path), [pull], duration=0.01, every=0.005).model
     'reduced'
     """
+    check_ending(path, MODEL_ENDINGS, "path of a reduced model")
     path = Path(path)
     kind = kind_of_file(path)
+    if kind == TRAJECTORY_FORMAT:
+        raise FileFormatError(f"path must be of a reduced model, got {path}, a trajectory; use Trajectory.load")
     if system is None:
         if kind == linear_storage.FORMAT:
             raise FileFormatError(

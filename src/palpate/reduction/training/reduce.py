@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from palpate.core.arrays import Floats
-from palpate.core.faults import InputError, TrustWarning, integer_in_range, number_in_range
+from palpate.core.faults import InputError, TrustWarning, check_call, integer_in_range, number_in_range, user_level
 from palpate.dynamics.loads.prepared import listed
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
@@ -54,6 +54,7 @@ MODES_PER_PRESSURE = 4  # more pressure modes would cause volumetric locking
 FREQUENCY_STATES = 16  # training states for the highest frequency of a membrane
 
 
+@check_call
 def hyper_reduce(
     full: Solid | Membrane,
     trajectories: Run | Sequence[Run],
@@ -181,7 +182,7 @@ def hyper_reduce(
 def _warn_if_inaccurate(model: ReducedModel) -> ReducedModel:
     """Return a model; warn if its errors on held-out runs are too large to use it."""
     if "advice" in model.report:
-        warnings.warn(model.report["advice"], TrustWarning, stacklevel=3)
+        warnings.warn(model.report["advice"], TrustWarning, stacklevel=user_level())
     return model
 
 
@@ -261,7 +262,7 @@ def _has_vibrations(
             "modes of runs with tools represent indentations at the places of those runs only, so that the force of a "
             "tool elsewhere can err several times; use basis='vibrations'",
             TrustWarning,
-            stacklevel=3,
+            stacklevel=user_level(),
         )
     return basis == "vibrations"
 

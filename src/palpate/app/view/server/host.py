@@ -34,7 +34,7 @@ class Host:
 
     The next free port is used if the requested one is busy, but not with a public address. `public_url` is the address
     of a forwarded port or a proxy, by which browsers reach the page. `address` is the URL of the page, with a new
-    token; by `local_address` this machine reaches it.
+    token; by `local_address` this machine reaches it. `framed` allows notebooks to show the page in a cell.
     """
 
     def __init__(
@@ -43,12 +43,13 @@ class Host:
         host: str = LOOPBACK,
         port: int = DEFAULT_PORT,
         public_url: str | None = None,
+        framed: bool = False,
     ) -> None:
         self.public = None if public_url is None else public_address(public_url)
         self._listener = open_listener(host, port) if self.public is None else open_listener(host, port, 1)
         self.port, token = self._listener.getsockname()[1], secrets.token_urlsafe(24)
         names = allowed_hosts(host, self.port)
-        self.page, self.local_address = Page(names, public=self.public), f"http://{names[0]}/#{token}"
+        self.page, self.local_address = Page(names, public=self.public, framed=framed), f"http://{names[0]}/#{token}"
         self.address = self.local_address if self.public is None else f"{self.public.url}#{token}"
         self._server = Server(source, self.page, token)
 

@@ -14,6 +14,8 @@ from palpate.app.view.server.address import PublicAddress
 PAGE_FOLDER = Path(__file__).parents[1] / "page"
 SOCKET_PATH = "/session"
 PRINTED_HEADER = re.compile(r"[A-Za-z0-9.:/\[\]_-]{1,100}")  # of a request, which a refusal repeats
+# of notebooks on this machine, of the address of a proxy, and of editors; without the token a frame shows nothing
+FRAMING_ORIGINS = "'self' http://localhost:* http://127.0.0.1:* https://localhost:* vscode-webview:"
 CONTENT_TYPES = {
     ".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml", ".png": "image/png", ".ico": "image/x-icon", ".json": "application/json",
@@ -31,11 +33,14 @@ class Page:
     """The files of the page, read at the start, and the checks of requests.
 
     `hosts` are the allowed ``Host`` headers, with the port. `public`, a forwarded port or a proxy, has a host and an
-    origin that are allowed, too.
+    origin that are allowed, too. `framed` allows notebooks to show the page in a cell.
     """
 
-    def __init__(self, hosts: list[str], folder: Path = PAGE_FOLDER, public: PublicAddress | None = None) -> None:
+    def __init__(
+        self, hosts: list[str], folder: Path = PAGE_FOLDER, public: PublicAddress | None = None, framed: bool = False
+    ) -> None:
         self.hosts, self.folder, self.public = tuple(hosts), folder, public
+        self._ancestors = FRAMING_ORIGINS if framed else "'none'"
         self._allowed = {*hosts, *(public.hosts if public else ())}
         self._origins = {f"http://{name}" for name in hosts} | ({public.origin} if public else set())
         self._files: dict[str, tuple[str, bytes]] = {}
@@ -106,7 +111,7 @@ class Page:
         sockets = f"ws://{host}" + (f" {self.public.socket_origin}" if self.public else "")
         policy = (
             "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
-            f"connect-src 'self' {sockets}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+            f"connect-src 'self' {sockets}; frame-ancestors {self._ancestors}; base-uri 'none'; form-action 'none'"
         )
         headers = Headers(
             {
