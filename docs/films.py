@@ -1,10 +1,9 @@
-"""Make the films of the docs: a press on the liver, a cut, the beam to four times its length, the membrane's wave.
+"""Make the films of the docs: a press on the liver, and a cut.
 
-    python docs/films.py [liver_press] [liver_cut] [beam_pull] [membrane_wave]
+    python docs/films.py [liver_press] [liver_cut]
 
 Films are animated WebP files of 640 pixels across in docs/images, each below 3 MB. The liver is a session of
-``palpate view liver`` that a script drives in real time; it is cut in a run of the full body. The beam and the
-membrane are the paper's, stepped in full.
+``palpate view liver`` that a script drives in real time; it is cut in a run of the full body.
 """
 
 from __future__ import annotations
@@ -22,8 +21,8 @@ import pyvista
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
-from palpate.app.common.rendering import add_shaded, camera_axes, check_drawing, off_screen, screenshot
-from palpate.app.common.shading import QUIET, round_up, shade_tool
+from palpate.app.common.rendering import camera_axes, check_drawing, off_screen, screenshot
+from palpate.app.common.shading import QUIET, shade_tool
 from palpate.app.view.film import (
     FRAME_RATE,
     MOVIE_PIXELS,
@@ -36,25 +35,11 @@ from palpate.app.view.film import (
 from palpate.dynamics.contact.blade import Scalpel
 from palpate.realtime.bodies.cut_display import CutFullSurface
 from palpate.realtime.bodies.full_surface import FullSurface
-from palpate.scenes.beam import beam
-from palpate.scenes.membrane import membrane
 
 IMAGES = Path(__file__).parent / "images"
 MAX_FILM_BYTES = 3_000_000
-FILM_SECONDS = 3.0
-FRAMES = round(FILM_SECONDS * FRAME_RATE)
 CUT_SECONDS, EDGE_LENGTH, FORCEPS_RADIUS = 3.2, 0.044, 0.004  # of the film of a cut [s], and [m]
 CUT_TOUGHNESS = 2.0  # [J/m^2], of tissue that is cut before it is dragged along
-
-
-class View(NamedTuple):
-    """How a run is shown: title, a note, direction to the camera, scale of displacements, and width over height."""
-
-    title: str
-    note: str
-    towards: tuple[float, float, float]
-    scale: Any
-    aspect_ratio: float
 
 
 def press_script() -> list[dict[str, object]]:
@@ -179,42 +164,7 @@ def draw_cut(path: Path, body: Any, run: Any, tools: Cutting) -> None:
             add(caption.over(screenshot(plotter), f"{time:.1f} s"))
 
 
-def run_film(path: Path, case: Any, view: View, duration: float) -> None:
-    """Film the run of a full model, coloured by its displacements, over `FILM_SECONDS`."""
-    run = pt.rollout(case.model, case.loads, duration=duration, every=duration / FRAMES, progress=False)
-    cloud, axes = case.model.cloud, camera_axes(np.array(view.towards))
-    rest = np.zeros((len(cloud), 3))
-    rest[:, : cloud.points.shape[1]] = cloud.points
-    seen = np.concatenate([rest + view.scale * u for u in run.displacements]) @ axes.T
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    width = 1.08 * (high - low)[0]
-    height = width / view.aspect_ratio
-    middle = 0.5 * (low + high) @ axes
-    largest = round_up(1e3 * np.linalg.norm(run.displacements, axis=-1).max())
-    caption = Caption(view.title, "Displacement [mm]", largest, False, 1e3 * width)
-    caption.notes = {view.note: QUIET, f"Slowed {FILM_SECONDS / duration:.0f} times": QUIET}
-    with off_screen(width, height, middle, axes[2], MOVIE_PIXELS) as plotter, movie_writer(path) as add:
-        for time, u in zip(run.times, run.displacements, strict=True):
-            plotter.clear_actors()
-            values = 1e3 / largest * np.linalg.norm(u, axis=1)
-            moved = rest + view.scale * u
-            add_shaded(plotter, moved, cloud.triangles, axes[2], lambda body, t=values: {"values": body.values(t)})
-            add(caption.over(screenshot(plotter), f"{1e3 * time:.0f} ms"))
-
-
-def beam_pull(path: Path) -> None:
-    """Film the paper's beam, pulled to four times its length."""
-    view = View("Beam pulled by 100 N", "1,025 nodes", (0.25, -0.9, 0.35), 1.0, 2.6)
-    run_film(path, beam(), view, 1.0)
-
-
-def membrane_wave(path: Path) -> None:
-    """Film the paper's membrane, pushed at its centre for 0.1 s and let go."""
-    view = View("Membrane pushed for 100 ms, let go", "Heights times 4", (0.0, -0.9, 0.42), np.array([1, 1, 4.0]), 1.45)
-    run_film(path, membrane(after="release"), view, 0.2)
-
-
-FILMS = {film.__name__: film for film in (liver_press, liver_cut, beam_pull, membrane_wave)}
+FILMS = {film.__name__: film for film in (liver_press, liver_cut)}
 
 
 def main() -> None:

@@ -1,7 +1,6 @@
 """The page in a real browser, with real sessions, and the pictures of the documentation.
 
-With PALPATE_SCREENSHOTS=DIR the pictures are left there, of the liver that ``palpate view liver`` keeps in the user's
-cache, else of a block.
+With PALPATE_SCREENSHOTS=DIR the pictures are left there, of the full liver that ``palpate view liver`` opens.
 """
 
 from __future__ import annotations
@@ -19,8 +18,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 import palpate as pt
-from palpate import load
-from palpate.app.models.trained import model_file
 from palpate.app.recordings.recording import ERROR_NAMES, load_recording, save_recording
 from palpate.app.session.comparison import Comparison
 from palpate.app.session.full_model_replay import full_model
@@ -39,7 +36,7 @@ from palpate.surface.surface import Surface
 
 sys.path.append(str(Path(__file__).parent))
 
-from browser_input import NARROW, hold, needs_chromium, opening, picture
+from browser_input import hold, needs_chromium, opening, picture
 from view_scenes import BALL, MIDDLE
 
 LINE = "palpate.scene.body.line"
@@ -521,30 +518,24 @@ def test_a_body_is_chosen_in_the_list_of_labels(browser, site_of, session, tmp_p
 
 
 @pytest.mark.skipif("PALPATE_SCREENSHOTS" not in os.environ, reason="PALPATE_SCREENSHOTS names no folder")
-def test_pictures_of_the_documentation(browser, session, site_of):
+def test_pictures_of_the_documentation(browser, site_of):
     folder = Path(os.environ["PALPATE_SCREENSHOTS"])
     folder.mkdir(parents=True, exist_ok=True)
-    file = model_file(open_scene("liver"))
-    show = Session(load(file), "Liver") if file.is_file() else session
+    scene = open_scene("liver", {"spacing": "9 mm"})
+    show = Session(scene.body, scene.title, foundations=scene.foundations)
     show.start()
     try:
-        address = site_of(show).address.replace("/#", "/?still#")
-        for name, size, dark in (
-            ("page", (1280, 800), False),
-            ("page_dark", (1280, 800), True),
-            ("page_narrow", NARROW, False),
-        ):
-            tab = browser.open(address, *size, dark=dark)
-            tab.wait("window.palpate?.ready", 60)
-            x, y = hold(tab)
-            tab.wait("palpate.session.state.tool !== 'none'")
-            for k in range(20):
-                tab.mouse("Moved", x, y + 2 * k)
-                sleep(0.05)
-            tab.wait("palpate.force > 0.05")
-            sleep(6.0)  # a still picture is drawn at leisure in software
-            assert picture(tab).std() > 0.05
-            tab.screenshot(folder / f"{name}.png")
-            tab.close()
+        tab = browser.open(site_of(show).address.replace("/#", "/?still#"), 1280, 800)
+        tab.wait("window.palpate?.ready", 60)
+        x, y = hold(tab)
+        tab.wait("palpate.session.state.tool !== 'none'")
+        for k in range(20):
+            tab.mouse("Moved", x, y + 2 * k)
+            sleep(0.05)
+        tab.wait("palpate.force > 0.05")
+        sleep(6.0)  # a still picture is drawn at leisure in software
+        assert picture(tab).std() > 0.05
+        tab.screenshot(folder / "page.png")
+        tab.close()
     finally:
         show.stop()
