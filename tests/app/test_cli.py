@@ -49,7 +49,7 @@ def test_the_command_without_arguments_prints_help_with_first_steps(capsys, tmp_
         ("check --spacng 0.01 x.stl", ["palpate check: '--spacng'", "mean --spacing?", "(see palpate check --help)"]),
         ("run liver --realtme", ["'--realtme'", "mean --realtime?", "(see palpate run --help)"]),
         ("fit --boundz=C1=1 x", ["'--boundz'", "mean --bounds?", "(see palpate fit --help)"]),
-        ("train beam --xyz red", ["'--xyz' is not an option of palpate train (see palpate train --help)"]),
+        ("train beam --qqq red", ["'--qqq' is not an option of palpate train (see palpate train --help)"]),
         ("trian beam", ["COMMAND must be one of ", "got 'trian'; did you mean train?", "(see palpate --help)"]),
         (
             "run livr",

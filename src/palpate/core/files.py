@@ -36,14 +36,14 @@ BRACKET_PATTERN = re.compile(
 )
 
 
-def check_ending(path: str | Path, endings: Mapping[str, str], what: str) -> str:
+def check_ending(path: str | Path, endings: Mapping[str, str], what: str, required: bool = False) -> str:
     """Return the ending of a name; refuse one that states another format than those of `what`.
 
-    `endings` have what a file of each holds. The first is that of a name without an ending. Names that end as files of
-    writers that did not end are allowed.
+    `endings` have what a file of each holds. The first is that of a name without an ending, which is refused if one is
+    `required`. Names that end as files of writers that did not end are allowed.
     """
     ending = Path(path).suffix.lower()
-    if ending in ("", UNFINISHED_ENDING):
+    if ending in ("", UNFINISHED_ENDING) and not required:
         return next(iter(endings))
     if ending not in endings:
         listed = " or ".join(f"{each} ({holds})" for each, holds in endings.items())

@@ -220,7 +220,7 @@ def test_a_diverged_state_is_reported(file, tmp_path, capsys, monkeypatch):
         (["--realtime", "--modes", "1001"], ["--modes", "[1, 1000]"]),
         (["--realtime", "--spacing", "0.1"], ["--spacing"]),
         (["--realtime", "--model", "nowhere.rom"], ["--model must be an existing file", "nowhere.rom"]),
-        (["--realtime", "--model", __file__], [__file__, "not a palpate reduced model"]),
+        (["--realtime", "--model", __file__], [Path(__file__).name, "must end in .rom"]),
         (["--realtime", "--model", __file__, "--modes", "3"], ["--modes must be left out with --model"]),
     ],
 )

@@ -178,10 +178,11 @@ def test_a_scene_of_the_package_shows_its_full_body_at_once(shown, name):
 
 
 @pytest.mark.quick
-def test_the_reduced_model_is_waited_for_on_request(shown, assert_refused):
+def test_the_reduced_model_is_waited_for_on_request(shown, assert_refused, capsys):
     opened, full, _ = shown("liver", "--reduced")
     assert opened.scene is not None
     assert not full
+    assert "30 runs of its full body" in capsys.readouterr().err  # the estimate of the training
     assert_refused(["view", "liver", "--reduced", "--refine"], "--refine must be left out unless a page shows a full")
 
 

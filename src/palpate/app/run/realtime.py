@@ -66,10 +66,10 @@ def run_realtime(
     check_folder(out)
     check_space(out, round(seconds * rate * BYTES_PER_PERIOD))
     console, black_box = Console(), out / BLACK_BOX
+    messages = None if script is None else read_script(script)
     training = None if full else opened.training_needed(console)
     if training is not None:
         confirm(console, training, "Train?", yes=True)  # only printed
-    messages = None if script is None else read_script(script)
     tool: Contact | None = None
     path: ToolPath
 

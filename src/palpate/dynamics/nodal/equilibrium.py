@@ -88,7 +88,7 @@ class Equilibrium(Described):
 
     def save(self, path: str | Path) -> None:
         """Write displacement, stress and pressure to a file for ParaView, ``.vtkhdf``; see `palpate.save`."""
-        check_ending(path, BODY_ENDINGS, "path of an equilibrium")
+        check_ending(path, BODY_ENDINGS, "path of an equilibrium", required=True)
         self.model.write_surface(Path(path), self.displacements)
 
 

@@ -71,7 +71,7 @@ def save(thing: Saved, path: str | Path) -> None:
     elif isinstance(thing, ReducedModel | LinearModel):
         _save_model(thing, path)
     else:
-        check_ending(path, BODY_ENDINGS, "path of a body")
+        check_ending(path, BODY_ENDINGS, "path of a body", required=True)
         thing.write_surface(Path(path))
 
 
