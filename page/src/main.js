@@ -312,7 +312,7 @@ function showStatus() {
   refinement.status(driver());
   bodyMenu.status(driver());
   handList.show(driver());
-  hints.show(driver() && session.state ? session.tool?.kind : null);
+  hints.show(driver() && session.state ? hintedKind() : null);
   scene.dirty = true;
 }
 
@@ -409,10 +409,16 @@ function renderFrame(now, seconds) {
   byId("view").classList.toggle("held", controls.overHeld >= 0);
 }
 
+/** The kind of the tool in hand; null of forceps where the page already says that they pull its end. */
+function hintedKind() {
+  const kind = session.tool?.kind;
+  return session.hello?.end && kind === "grasp" ? null : kind;
+}
+
 function showState(state, now, seconds) {
   const first = session.state === null;
   session.state = state;
-  if (first) hints.show(driver() ? session.tool?.kind : null);
+  if (first) hints.show(driver() ? hintedKind() : null);
   if (undone && state.time < undone.time) {
     statusLine.showToast("The wound was too wide to be closed at once: the body starts from rest.");
     hands.reset();
