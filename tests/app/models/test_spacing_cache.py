@@ -6,14 +6,15 @@ import json
 
 import pytest
 
-from palpate.app.models import spacing_cache
-from palpate.app.models.spacing_cache import MAX_SPACINGS, cache_spacing, cached_spacing
+from palpate.app.common import machine
+from palpate.app.common.machine import MAX_VALUES
+from palpate.app.models.spacing_cache import cache_spacing, cached_spacing
 
 
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     """The file of an empty cache folder."""
-    monkeypatch.setattr(spacing_cache, "cache_folder", lambda: tmp_path / "palpate")
+    monkeypatch.setattr(machine, "cache_folder", lambda: tmp_path / "palpate")
     return tmp_path / "palpate" / "spacings.json"
 
 
@@ -27,7 +28,7 @@ def test_a_spacing_is_kept_and_the_last_one_counts(kept):
 
 def test_the_oldest_are_dropped(kept):
     kept.parent.mkdir()
-    kept.write_text(json.dumps({str(k): 0.004 for k in range(MAX_SPACINGS)}))
+    kept.write_text(json.dumps({str(k): 0.004 for k in range(MAX_VALUES)}))
     cache_spacing("new", 0.005)
     assert cached_spacing("0") is None
     assert cached_spacing("1") == 0.004
