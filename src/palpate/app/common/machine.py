@@ -11,23 +11,23 @@ from palpate.core.faults import InputError
 from palpate.core.files import json_of, read_text, write_json
 from palpate.core.working_folder import cache_folder
 
-MEASUREMENTS = "machine.json"
+MEASUREMENTS_FILE = "machine.json"
 MAX_VALUES, MAX_BYTES, MAX_SECONDS = (
     1000,
     1_000_000,
     1e6,
-)  # in a file: the oldest are dropped; larger times are not used
+)  # of a file: the oldest are dropped; of a time
 
 
 def kept_seconds(name: str) -> float | None:
     """Return the time [s] that is kept under a name, or None."""
-    value = kept_values(MEASUREMENTS).get(name)
+    value = kept_values(MEASUREMENTS_FILE).get(name)
     return float(value) if isinstance(value, int | float) and 0.0 < value < MAX_SECONDS else None
 
 
 def kept_text(name: str) -> str:
     """Return the text that is kept under a name; empty without one."""
-    value = kept_values(MEASUREMENTS).get(name)
+    value = kept_values(MEASUREMENTS_FILE).get(name)
     return value if isinstance(value, str) else ""
 
 
@@ -40,7 +40,7 @@ def kept_values(file: str) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def keep(name: str, value: float | str, file: str = MEASUREMENTS) -> None:
+def keep(name: str, value: float | str, file: str = MEASUREMENTS_FILE) -> None:
     """Keep a value under a name as the newest of a file; do nothing where the cache folder cannot be written."""
     values = {key: other for key, other in kept_values(file).items() if key != name} | {name: value}
     with contextlib.suppress(OSError, InputError):
