@@ -397,7 +397,7 @@ def test_the_command_changes_over_and_ends_its_training_at_an_interrupt(scene, t
                 message = json.loads(message)
                 if message["type"] == "hello":
                     full.append(message["full"])
-                if message.get("state") == "ready" and not message["good"]:
+                if message["type"] == "refinement" and message["state"] == "ready" and not message["good"]:
                     await socket.send(json.dumps({"type": "refine", "action": "use"}))
                 if message["type"] == "refinement" and message["state"] in ("used", "failed"):
                     return full, message
