@@ -2,11 +2,12 @@
 import { lawName } from "./bodyMenu.js";
 import { plainForce } from "./forceText.js";
 
-/** What to do on the page of a body with an end, by its title; with a reduced model next to the full one, what is shown. */
-export function taskText(title, held, [solid, lines] = ["the reduced model", "the full one"]) {
-  const body = `the ${title[0].toLowerCase()}${title.slice(1)}`;
+/** What to do on the page of a body with an end, by its title; of two bodies, which one is solid and which one lines. */
+export function taskText(title, held, bodies = null) {
+  const body = `the ${/^\p{Lu}\p{Ll}/u.test(title) ? title[0].toLowerCase() : title[0]}${title.slice(1)}`;
   if (!held) return `Pull the end of ${body}: hold the button on its free end and drag.`;
-  return `Pull the end of ${body}: forceps hold it, drag anywhere. Solid: ${solid}; lines: ${lines}.`;
+  const shown = bodies ? ` Solid: ${bodies[0]}; lines: ${bodies[1]}.` : "";
+  return `Pull the end of ${body}: forceps hold it, drag anywhere.${shown}`;
 }
 
 /** The mean displacement [m] of some vertices, and where they are [m] in the mean. */
@@ -27,10 +28,10 @@ export class BodyEnd {
   }
 
   /** Begin with the body of a hello message. */
-  offer({ end = null, title, tools, mode, full, compared }) {
+  offer({ end = null, title, tools, mode, full, compare, compared }) {
     this.vertices = mode === "replay" ? null : end;
     this.byId("task").hidden = this.byId("end").hidden = !this.vertices;
-    if (this.vertices) this.byId("task").textContent = taskText(title, tools.length === 0, full ? compared?.map(lawName) : undefined);
+    if (this.vertices) this.byId("task").textContent = taskText(title, tools.length === 0, compare ? (full ? compared.map(lawName) : ["the reduced model", "the full one"]) : null);
   }
 
   /** Take the indices of the tools that hold the end, of a status message. */

@@ -108,7 +108,7 @@ function start() {
   transport = new Transport(byId, (message) => {
     const ends = { reset: () => true, undo: ({ cuts }) => cuts }[message.action] ?? (() => false);
     for (const press of controls.presses.filter(ends)) controls.release(press);
-    if (message.action === "undo") undone = { time: session.state?.time ?? 0, at: performance.now() };
+    undone = message.action === "undo" ? { time: session.state?.time ?? 0, at: performance.now() } : null;
     send(message);
     if (message.action === "reset") hands.reset();
   });
@@ -178,6 +178,7 @@ const answers = {
     preparation.end();
     for (const press of [...controls.presses]) controls.release(press); // of the body that was shown
     session.hello = message;
+    undone = null;
     session.space = message.space;
     session.status = { end_tools: message.end_tools, driver: false, viewers: message.viewers, state: "running", speed: 1 };
     offerDepth(message);
@@ -368,7 +369,7 @@ function scalar(name) {
 
 function key(event) {
   if (isUndo(event) && !byId("help").open && byId("choice").hidden) {
-    transport.undo();
+    if (!event.repeat) transport.undo();
     return event.preventDefault();
   }
   if (byId("help").open || !byId("choice").hidden || event.ctrlKey || event.metaKey || event.altKey) return;

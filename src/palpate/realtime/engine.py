@@ -282,14 +282,16 @@ class Engine(Described):
         Parameters
         ----------
         keep_cut : bool
-            The body stays cut as it is; by default it is whole again.
+            The body stays cut as it is, and a blade is put away; by default the body is whole again.
         """
         with self._cutter_lock(), self._lock:
             running = self._runner.state == RUNNING
             if running:
                 self._runner.stop(PAUSED)
             if self._cutter is not None:
-                if not keep_cut:
+                if keep_cut:
+                    self._cutter.put_away()
+                else:
                     self._cutter.restore()
                 self.swap_data(self._cutter.update(self._rest))
             self._to_rest()

@@ -226,6 +226,22 @@ def test_a_reset_restores_the_whole_body(cut_session):
     assert not np.any(session.engine.read().force)
 
 
+def test_the_engine_resets_a_body_as_it_is_cut_and_puts_the_blade_away(cut_session):
+    session, cutter, _, _, _ = cut_session
+    session.reset()
+    session.engine.reset(keep_cut=True)  # of a body without a cut
+    assert session.engine.state == "running"
+    send(session, type="tool", kind="scalpel", length=0.03, toughness=TOUGHNESS, position=[0.025, 0.02, 0.045])
+    lower(session, 5e-5)
+    session.engine.reset(keep_cut=True)
+    cut = cutter.model
+    time.sleep(0.3)
+    assert cutter.model is cut is not cutter.whole_model
+    assert cutter.cut_front is None
+    assert np.abs(session.engine.read().coordinates).max() < 1e-6
+    session.reset()
+
+
 @pytest.mark.parametrize("gape", [0.003, 0.026])
 def test_undo_goes_on_from_a_small_wound_and_starts_from_rest_at_a_wide_one(cut_session, gape):
     """A stroke next to forceps that pull by a way [m], at which the wound opens."""

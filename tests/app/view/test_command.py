@@ -16,6 +16,7 @@ from palpate.app.models.trained import model_file
 from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.app.session.session import Session
 from palpate.app.view import command
+from palpate.app.view.body_menu import has_menu
 from palpate.app.view.refinement import is_trained
 from palpate.app.view.server.host import Host
 
@@ -175,6 +176,18 @@ def shown(monkeypatch):
 def test_a_scene_of_the_package_shows_its_full_body_at_once(shown, name):
     opened, full, refined = shown(name)
     assert (opened.scene.name, full, refined) == (name, True, False)
+
+
+@pytest.mark.quick
+def test_forceps_pull_the_end_of_a_held_solid_which_is_damped_unless_a_user_sets_it(shown):
+    for words, end, damping in (
+        (["beam"], "x+", 8.0), (["beam", "--set", "mass_damping=0"], "x+", 0.0), (["membrane"], "", 0.0),
+    ):  # fmt: skip
+        opened = command.damped(shown(*words)[0])
+        assert command.end_of(opened) == end
+        assert opened.scene.description.tissue.mass_damping == damping
+    assert not has_menu(pt.open_scene("membrane"))
+    assert has_menu(pt.open_scene("beam"))
 
 
 @pytest.mark.quick

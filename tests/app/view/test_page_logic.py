@@ -513,6 +513,14 @@ def test_the_motion_of_an_end_is_the_mean_of_its_vertices():
     motion = evaluate("bodyEnd.js", f"m.endMotion([1, 2], {body})")
     assert motion["moved"] == pytest.approx(0.5)
     assert motion["place"] == pytest.approx([1.3, 0.5, 0.4])
+    task = "Pull the end of the bar: "
+    for call, text in (
+        ("'Bar', false", f"{task}hold the button on its free end and drag."),
+        ("'Bar', true", f"{task}forceps hold it, drag anywhere."),
+        ("'Bar', true, ['Yeoh', 'Gent']", f"{task}forceps hold it, drag anywhere. Solid: Yeoh; lines: Gent."),
+        ("'MRI bar', false", "Pull the end of the MRI bar: hold the button on its free end and drag."),
+    ):
+        assert evaluate("bodyEnd.js", f"m.taskText({call})") == text
     assert evaluate("bodyEnd.js", "m.forceOf([{ force: [1, 0, 2] }, { force: [2, 4, -2] }])") == pytest.approx(5.0)
 
 

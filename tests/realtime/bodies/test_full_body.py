@@ -258,6 +258,15 @@ def test_another_tool_takes_the_place_of_the_first(block):
         stepped.model.change_tool(pt.tools.Sphere(0.004), pose, 0.0)
 
 
+def test_the_least_radius_on_a_sheet_is_two_spacings():
+    rubber = pt.materials.NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
+    sheet = pt.Membrane(pt.disc(0.05, 0.01), rubber, 1e-3, "rim", prestretch=1.05)
+    stepped = Stepped(sheet, pt.tools.Contact(pt.tools.Sphere(0.02), (0.0, 0.0, 0.03)))
+    pose = np.array([0.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0])
+    with pytest.raises(pt.InputError, match="at least two spacings of the body, 20 mm"):
+        stepped.model.change_tool(pt.tools.Sphere(0.015), pose, 0.0)
+
+
 CORNER = np.array([0.03, 0.015, 0.02])
 GRASP = pt.tools.Grasp(tuple(CORNER), 0.0051, tuple(CORNER))
 

@@ -87,9 +87,11 @@ class DeviceDriver:
                 with contextlib.suppress(InputError):  # a diverged state waits for a reset
                     session.resume()
         else:
+            tools = min(self._tools, session.max_tools)  # another body may have fewer
             for index, epoch, pose in answer["poses"]:
-                self._move(session, index, epoch, pose, answer["number"])
-            contacts = [session.tool_contact(index) for index in range(self._tools)]
+                if index < tools:
+                    self._move(session, index, epoch, pose, answer["number"])
+            contacts = [session.tool_contact(index) for index in range(tools)]
             with contextlib.suppress(ValueError):  # the driver is being closed
                 self._child.send({"period": session.engine.period, "tools": contacts})
 

@@ -100,8 +100,12 @@ class Session:
             )
         self.model, self.title, self.rate = model, title, rate
         self.body = session_body(model, foundations, end if held else "")
-        self.end = end or (self.body.group if isinstance(self.body, GroupBody) else "")
-        self._end_forceps = forceps_of_group(model.cloud, end) if end and not held else None
+        self.end, self._end_forceps = end or (self.body.group if isinstance(self.body, GroupBody) else ""), None
+        if end and not held:
+            try:
+                self._end_forceps = forceps_of_group(model.cloud, end)
+            except InputError:  # no forceps hold it alone: the page has no end, and forceps hold what they touch
+                self.end = ""
         self.surface = self.body.surface
         self._workspace = ToolWorkspace(self.surface)
         idle = self.body.idle_tool
@@ -367,7 +371,8 @@ class Session:
         if any(tool.active is not NO_TOOL and not isinstance(tool.active.shape, Forceps) for tool in former.tools):
             return False
         solids = isinstance(self.model, EnergySolid) and isinstance(former.model, EnergySolid) and not former.body.cuts
-        alike = solids and self.max_tools == former.max_tools
+        relaxes = self.body.realtime.relaxes or former.body.realtime.relaxes  # by the history of the shape
+        alike = solids and not relaxes and self.max_tools == former.max_tools
         return bool(alike and np.array_equal(self.model.cloud.points, former.model.cloud.points))
 
     def _take_shape(self, former: Session) -> None:

@@ -28,7 +28,7 @@ PAGE_SHAPES = ("sphere", "capsule", "grasp", "scalpel")  # which page/src/toolGl
 WORKSPACE_MARGIN = 0.3  # [m] around the body
 POINT_RADIUS = 1e-6  # [m] of the point of a blade
 DRAWN_FORCEPS_SHARE = 0.3  # of the radius within which forceps hold nodes: of the ball as which they are drawn
-END_DISTANCES = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 64.0)  # spacings from an end to the centre of the ball that holds it
+END_DISTANCES = (0.0, *np.geomspace(1.0, 4096.0, 13))  # spacings from an end to the centre of the ball that holds it
 TINY_LENGTH = 1e-12  # [m]
 MAX_PENETRATION = 0.25  # of a vertex into a tool that is put down, as a fraction of the spacing
 NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
@@ -106,13 +106,13 @@ def forceps_of_group(cloud: Cloud, group: str) -> Forceps:
 
     They hold what is in a ball; its centre is the farther outside of the body, the flatter the end.
     """
-    nodes = cloud.group(group)
-    centre, everywhere = cloud.points[nodes].mean(axis=0), np.ones(len(cloud), dtype=bool)
-    outward = centre - cloud.points.mean(axis=0)
+    nodes, points = cloud.group(group), places_at_rest(cloud)
+    centre, everywhere = points[nodes].mean(axis=0), np.ones(len(cloud), dtype=bool)
+    outward = centre - points.mean(axis=0)
     outward /= max(float(np.linalg.norm(outward)), TINY_LENGTH)
     for distance in END_DISTANCES:
         point = centre + distance * cloud.spacing * outward
-        radius = float(np.linalg.norm(cloud.points[nodes] - point, axis=1).max())
+        radius = float(np.linalg.norm(points[nodes] - point, axis=1).max())
         forceps = Forceps(radius, tuple(map(float, point)), np.inf)
         if radius and np.array_equal(grasped_nodes(cloud, forceps, everywhere), np.sort(nodes)):
             return forceps

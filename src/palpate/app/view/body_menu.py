@@ -20,7 +20,6 @@ from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.training_process import TrainingProcess
 from palpate.core.faults import InputError
 from palpate.core.parameters import written_section
-from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
 from palpate.scenes.scene import Scene
@@ -37,10 +36,10 @@ def make_trainer(scene: Scene) -> Trainer:
 
 
 def has_menu(scene: Scene) -> bool:
-    """Return True if the body of a scene may have another law: of one tissue, at rest in the shape of its surface."""
+    """Return True if the body of a scene may have another law: a solid of one tissue, at rest as its surface is."""
     about = scene.description
     regions = any(region.parameters for region in about.region)
-    return bool(offered_laws(about.tissue)) and not (regions or about.body.under_loads)
+    return about.body.thickness is None and bool(offered_laws(about.tissue)) and not (regions or about.body.under_loads)
 
 
 class Choice(NamedTuple):
@@ -60,7 +59,6 @@ class BodyMenu:
     def __init__(
         self, scene: Scene, session: Session, console: Console, train: Callable[[Scene], Trainer] = make_trainer
     ) -> None:
-        assert isinstance(session.model, EnergySolid)
         self._scene, self._console, self._train = scene, console, train
         self._cloud, self._shown = session.model.cloud, session
         self._chosen = Choice(scene.description.tissue.law)

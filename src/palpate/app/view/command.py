@@ -92,7 +92,7 @@ def view(
             opened = damped(opened)
         else:
             _confirm_training(opened, yes or not isinstance(place, tuple))  # the page of a choice is open already
-        end = opened.scene.held_group if opened.scene is not None and full else ""
+        end = end_of(opened) if full else ""
         make = partial(_make_session, title=opened.title, compare=compare, scene=scene, end=end)
         name = _durations_name(opened, full, compare)
         return FAILED if _show(Shown(opened, full, make), name, record, place, refine, device) else DONE
@@ -114,10 +114,18 @@ class Shown(NamedTuple):
     make: MakeSession
 
 
-def damped(opened: Input) -> Input:
-    """Return an input whose held body has the usual damping, in place of none: it would swing for minutes."""
+def end_of(opened: Input) -> str:
+    """Return the group that forceps pull on the page: that of a solid which the tool of its scene holds, or none."""
     scene = opened.scene
-    if scene is None or not scene.held_group or scene.description.tissue.mass_damping:
+    return scene.held_group if scene is not None and scene.description.body.thickness is None else ""
+
+
+def damped(opened: Input) -> Input:
+    """Return an input whose pulled body has the usual damping, in place of none: it would swing for minutes."""
+    scene = opened.scene
+    if scene is None or not end_of(opened) or scene.description.tissue.mass_damping:
+        return opened
+    if any(key.rpartition(".")[2] == "mass_damping" for key in scene.settings):
         return opened
     from palpate.tissue.liver import MASS_DAMPING
 

@@ -183,7 +183,7 @@ def _opened(what: Any) -> tuple[str, Preparation, Callable[[Host], object]]:
     from palpate.app.common.console import Console
     from palpate.app.models.input import Input, open_input
     from palpate.app.session.session import Session
-    from palpate.app.view.command import Shown, damped, first_page, run_page
+    from palpate.app.view.command import Shown, damped, end_of, first_page, run_page
     from palpate.app.view.server.preparation import Preparation
     from palpate.dynamics.membrane.model import Membrane
     from palpate.dynamics.solid.model import EnergySolid
@@ -207,10 +207,10 @@ def _opened(what: Any) -> tuple[str, Preparation, Callable[[Host], object]]:
     full, title = opened.scene is not None, opened.title
     if full:
         opened = damped(opened)
-    end = opened.scene.held_group if opened.scene is not None else ""
     preparation = first_page(opened, full, title)
     console = Console(preparation.begin, quiet=True)  # its lines are on the page
-    return title, preparation, partial(run_page, Shown(opened, full, partial(make, end=end)), preparation, console)
+    shown = Shown(opened, full, partial(make, end=end_of(opened)))
+    return title, preparation, partial(run_page, shown, preparation, console)
 
 
 def _show_model(preparation: Preparation, make: Callable[[], Session], host: Host) -> None:

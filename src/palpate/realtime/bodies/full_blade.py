@@ -128,10 +128,14 @@ class BladeCutter:
             turn_pairs(sites, model.cut_state, state.coordinates)
         self._is_compiled = True
 
+    def put_away(self) -> None:
+        """Put the blade away, so that `update` returns data without it; the engine must be paused."""
+        self.set_blade(None, NO_POSE, self.blade)
+
     def restore(self) -> None:
         """Return to the whole body; the engine must be paused."""
         with self.lock:
-            self.set_blade(None, NO_POSE, self.blade)
+            self.put_away()
             self.model, self.cuts = self.whole_model, 0
             self._strokes.clear()
             self.restorations += 1
@@ -139,8 +143,8 @@ class BladeCutter:
     @property
     def strokes(self) -> int:
         """Number of strokes that `undo` can take back: of those that have cut, at most the last 50."""
-        with self.lock:
-            return len(self._strokes) - bool(self._strokes and self._strokes[-1] is self.model)
+        kept = tuple(self._strokes)  # without the lock, which a cut holds
+        return len(kept) - bool(kept and kept[-1] is self.model)
 
     def undo(self, coordinates: Floats) -> bool:
         """Return to the body before the last stroke that cut; the engine must be paused, and goes on after `update`.
@@ -151,7 +155,7 @@ class BladeCutter:
         with self.lock:
             if not self.strokes:
                 raise InputError("undo must follow a stroke that has cut, got none; cut first")
-            self.set_blade(None, NO_POSE, self.blade)
+            self.put_away()
             if self._strokes[-1] is self.model:
                 self._strokes.pop()
             cut_model, self.model = self.model, self._strokes.pop()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from palpate.core.arrays import Floats, Ints
 from palpate.core.faults import InputError, integer_in_range
 from palpate.dynamics.contact.blade import Blade
-from palpate.dynamics.contact.geometry import Contacts, curvatures, rotation
+from palpate.dynamics.contact.geometry import Contacts, curvatures, least_radius, rotation
 from palpate.dynamics.contact.grip import COUNT, empty_grip, grasped_nodes, nodes_in_grip, set_grip
 from palpate.dynamics.contact.impulses import contact_kind
 from palpate.dynamics.contact.kinds import CAPSULE, PLANE
@@ -236,9 +236,10 @@ def change_full_tool(
         blade, tool = tool, None
     elif isinstance(tool, Forceps):
         nodes, tool = _free_nodes(model, data, tool, index), None
-    elif tool is not None and tool.kind != PLANE and tool.sizes[0] < model.cloud.spacing:
+    elif tool is not None and tool.kind != PLANE and tool.sizes[0] < (least := least_radius(model.cloud)):
+        spacings = "the spacing" if least == model.cloud.spacing else "two spacings"
         raise InputError(
-            f"radius of the tool must be at least the spacing of the body, {1e3 * model.cloud.spacing:.3g} mm, got "
+            f"radius of the tool must be at least {spacings} of the body, {1e3 * least:.3g} mm, got "
             f"{1e3 * tool.sizes[0]:.3g} mm; use a larger tool or a finer body"
         )
     _grasp(data, nodes, index)
