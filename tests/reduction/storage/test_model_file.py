@@ -398,7 +398,7 @@ def test_bodies_equilibria_and_reduced_models_are_saved_by_one_rule(trained, bar
     pt.rollout(solid, duration=1e-3, every=1e-3, file=tmp_path / "run.h5", progress=False)
     with pytest.raises(pt.FileFormatError, match=r"must be of a reduced model, got .*, a trajectory; use Trajectory"):
         pt.load(tmp_path / "run.h5")
-    with pytest.raises(pt.InputError, match=r"thing must be a Trajectory, an Equilibrium, a body or a .*, got 3"):
+    with pytest.raises(pt.InputError, match=r"model must be a body, a reduced model, a .*, got 3"):
         pt.save(3, tmp_path / "x.rom")
 
 
