@@ -390,7 +390,7 @@ def test_bodies_equilibria_and_reduced_models_are_saved_by_one_rule(trained, bar
     np.testing.assert_array_equal(content["displacement"], rest.displacements)
     np.testing.assert_array_equal(content["stress"], rest.to_pyvista()["stress"])
     assert content["stress"].max() > 100.0
-    trained.save(tmp_path / "trained.rom")
+    pt.save(model=trained, path=tmp_path / "trained.rom")
     assert pt.load(tmp_path / "trained.rom").count == trained.count
     for thing in (solid, rest):
         with pytest.raises(pt.InputError, match=r"must end in \.vtkhdf \(.* for ParaView\), got 'x\.rom'"):
