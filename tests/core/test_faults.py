@@ -73,6 +73,11 @@ def test_a_call_with_unknown_or_missing_arguments_is_refused_with_those_that_exi
     assert stepped(2.0, step=3.0) == 6.0
 
 
+def test_too_many_arguments_are_refused_in_the_words_of_python():
+    with pytest.raises(pt.InputError, match=r"^stepped takes 1 positional argument but 2 were given$"):
+        stepped(1.0, 2.0)
+
+
 def test_an_error_inside_a_function_is_not_one_of_its_call():
     with pytest.raises(TypeError, match="inside"):
         stepped(1.0, tolerance=0.0)
@@ -85,3 +90,11 @@ def test_runs_and_bodies_name_the_argument_that_is_meant(bar, tissue):
         pt.Solid(bar, tissue, fixd="x-")
     with pytest.raises(pt.InputError, match="cloud must be a Cloud, got MooneyRivlin"):
         pt.Solid(tissue, bar)
+
+
+def test_a_model_without_some_methods_is_abstract_and_one_without_a_stress_says_so():
+    with pytest.raises(TypeError, match="abstract class Mine"):
+        type("Mine", (pt.typing.Model,), {})()
+    model = type("Mine", (pt.typing.Model,), dict.fromkeys(pt.typing.Model.__abstractmethods__))()
+    with pytest.raises(pt.InputError, match=r"cauchy_stress must be defined .*, got Mine.*; define it"):
+        model.cauchy_stress(np.zeros((1, 3)))

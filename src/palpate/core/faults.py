@@ -182,14 +182,17 @@ def is_of_call(error: TypeError) -> bool:
 
 
 def argument_error(name: str, function: Any, options: Iterable[str], error: TypeError) -> InputError:
-    """Return the error of a call of a function with unknown or missing arguments."""
+    """Return the error of a call of a function with unknown, missing or too many arguments."""
     allowed = [each for each in inspect.signature(function).parameters if each not in ("self", "_", "__")]
     for option in options:
         if option not in allowed:
             near = [ARGUMENT_ALIASES.get(option, ""), *get_close_matches(option, allowed, 1)]
             remedy = next((f"; did you mean {each}?" for each in near if each in allowed), "; leave it out")
             return InputError(f"arguments of {name} must be among {', '.join(allowed)}, got {option}{remedy}")
-    return InputError(f"arguments of {name} must be complete: {str(error).partition('() ')[2] or error}")
+    reason = str(error).partition("() ")[2] or str(error)
+    if reason.startswith("missing"):
+        return InputError(f"arguments of {name} must be complete: {reason}")
+    return InputError(f"{name} {reason}")
 
 
 def number_in_range(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numba
 import pytest
 
@@ -54,3 +56,12 @@ def test_a_block_ends_where_code_would_have_to_be_compiled():
     with only_compiled_code():
         results.append(function(1.0))
     assert results == ["before", 2.0]
+
+
+def test_another_thread_compiles_next_to_such_a_block():
+    theirs, ours, results = numba.njit(lambda x: x + 2), numba.njit(lambda x: x + 3), ["before"]
+    with ThreadPoolExecutor(1) as threads, only_compiled_code():
+        assert threads.submit(theirs, 1.0).result() == 3.0
+        results.append(theirs(1.0))
+        results.append(ours(1.0))
+    assert results == ["before", 3.0]

@@ -85,3 +85,11 @@ def test_an_interrupt_states_what_is_complete(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().err
     assert f"interrupted the trained model is kept; {library} is complete" in said
     assert "Liver: 3 runs; then compiling of its step for this machine, browsers" in said
+
+
+@pytest.mark.parametrize("missing", [None, command.STEP_TIME, command.MACHINE_TIME])
+def test_the_time_is_a_guess_until_all_of_it_was_measured(monkeypatch, missing):
+    monkeypatch.setattr(command, "kept_seconds", lambda name: None if name == missing else 20.0)
+    estimate = command._estimate(["host"], False)
+    assert estimate.is_guess == (missing is not None)
+    assert ("as measured here" in estimate.lines()[1]) == (missing is None)

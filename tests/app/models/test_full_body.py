@@ -128,7 +128,7 @@ def test_the_pace_is_guessed_where_a_measurement_would_compile(monkeypatch):
     def compiled_later(*_):
         raise _NotCompiledError
 
-    monkeypatch.setattr("palpate.app.models.spacing.EnergySolid", compiled_later)
+    monkeypatch.setattr("palpate.app.models.spacing.sample_block", compiled_later)
     assert _seconds_per_node(pt.materials.NeoHookean(C1=1.1e3, density=1060.0, poisson=0.45)) == pytest.approx(1.6e-7)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from copy import copy
 
 import numpy as np
 import pytest
@@ -212,6 +213,18 @@ def test_undo_takes_the_strokes_back_one_by_one_and_the_body_goes_on(cut_session
     send(session, type="pose", position=[0.025, 0.02, 0.045], sequence=1)
     lower(session, 1e-5)
     assert session.status()["strokes"] == 1
+
+
+def test_undo_keeps_the_last_ten_strokes(cut_session):
+    session, cutter, _, _, _ = cut_session
+    session.release()
+    session.reset()
+    for _ in range(12):
+        send(session, type="tool", kind="scalpel", length=0.012, toughness=TOUGHNESS, position=[0.025, 0.02, 0.05])
+        with cutter.lock:
+            cutter.model = copy(cutter.model)  # as a cut leaves it
+        session.release()
+    assert session.status()["strokes"] == 10
 
 
 def test_a_reset_restores_the_whole_body(cut_session):

@@ -390,7 +390,7 @@ def test_bodies_equilibria_and_reduced_models_are_saved_by_one_rule(trained, bar
     np.testing.assert_array_equal(content["displacement"], rest.displacements)
     np.testing.assert_array_equal(content["stress"], rest.to_pyvista()["stress"])
     assert content["stress"].max() > 100.0
-    trained.save(tmp_path / "trained.rom")
+    pt.save(model=trained, path=tmp_path / "trained.rom")
     assert pt.load(tmp_path / "trained.rom").count == trained.count
     for thing in (solid, rest):
         with pytest.raises(pt.InputError, match=r"must end in \.vtkhdf \(.* for ParaView\), got 'x\.rom'"):
@@ -398,7 +398,7 @@ def test_bodies_equilibria_and_reduced_models_are_saved_by_one_rule(trained, bar
     pt.rollout(solid, duration=1e-3, every=1e-3, file=tmp_path / "run.h5", progress=False)
     with pytest.raises(pt.FileFormatError, match=r"must be of a reduced model, got .*, a trajectory; use Trajectory"):
         pt.load(tmp_path / "run.h5")
-    with pytest.raises(pt.InputError, match=r"thing must be a Trajectory, an Equilibrium, a body or a .*, got 3"):
+    with pytest.raises(pt.InputError, match=r"model must be a body, a reduced model, a .*, got 3"):
         pt.save(3, tmp_path / "x.rom")
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterator
+from threading import get_ident
 from typing import Any
 
 from numba.core import event
@@ -68,10 +69,14 @@ class _NotCompiledError(Exception):
 
 
 class _Refusal(event.Listener):  # type: ignore[misc]
-    """Raises an error where Numba begins to compile."""
+    """Raises an error where Numba begins to compile in the thread that made it; Numba reports those of all threads."""
+
+    def __init__(self) -> None:
+        self._thread = get_ident()
 
     def on_start(self, event: Any) -> None:
-        raise _NotCompiledError
+        if get_ident() == self._thread:
+            raise _NotCompiledError
 
     def on_end(self, event: Any) -> None:
         """Do nothing."""
@@ -79,6 +84,6 @@ class _Refusal(event.Listener):  # type: ignore[misc]
 
 @contextlib.contextmanager
 def only_compiled_code() -> Iterator[None]:
-    """Leave the block where it calls a function that would have to be compiled first."""
+    """Leave the block where it calls a function that would have to be compiled first; other threads compile."""
     with contextlib.suppress(_NotCompiledError), event.install_listener("numba:compile", _Refusal()):
         yield

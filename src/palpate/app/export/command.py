@@ -113,7 +113,7 @@ def _estimate(machines: Sequence[str], has_page: bool) -> Estimate:
     count = len(machines) + (len(WEB_TARGETS) if has_page else 0)
     seconds = (step or GUESSED_STEP) + count * (machine or GUESSED_MACHINE)
     what = f"compiling of its step for {_words([*machines, *(['browsers'] if has_page else [])])}"
-    return Estimate(what, {"compiling the step": seconds}, is_guess=step is None)
+    return Estimate(what, {"compiling the step": seconds}, is_guess=step is None or machine is None)
 
 
 def _words(machines: Sequence[str]) -> str:

@@ -7,8 +7,8 @@ from time import perf_counter
 import numpy as np
 
 from palpate.app.common.compile_ahead import only_compiled_code
-from palpate.dynamics.solid.model import EnergySolid
-from palpate.meshfree.cloud import Cloud, box
+from palpate.app.common.sample_block import sample_block, wave_time
+from palpate.meshfree.cloud import Cloud
 from palpate.scenes.spacing import NODES_PER_CELL, expected_nodes
 from palpate.tissue.materials import Material
 
@@ -31,10 +31,9 @@ def realtime_spacing(volume: float, material: Material) -> float:
     what a second process compiles meanwhile. The body is filled again if its own steps take another time.
     """
     seconds = _seconds_per_node(material)
-    wave_speed = np.sqrt((material.lame + 2 * material.shear_modulus) / material.density)
 
     def busy(spacing: float) -> float:
-        step = STEP_PER_WAVE * spacing / wave_speed
+        step = STEP_PER_WAVE * wave_time(material, spacing)
         return float(expected_nodes(volume, spacing) * seconds / step)
 
     coarse, fine = np.cbrt(NODES_PER_CELL * volume / np.array([MIN_NODES, MAX_NODES]))
@@ -62,7 +61,7 @@ def _seconds_per_node(material: Material) -> float:
     """Return the time [s] of a step per node, from the faster force evaluations in some tenths of a second."""
     durations = list[float]()
     with only_compiled_code():
-        body = EnergySolid(box((0.1, 0.1, 0.1), 0.0083, jitter=0.2), material, "z-")
+        body = sample_block(material)
         u, work = np.zeros((len(body.cloud), 3)), body.workspace()
         body.step_force(u, work)  # loads the code
         end = perf_counter() + SAMPLE_SECONDS

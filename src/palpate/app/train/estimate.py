@@ -17,11 +17,11 @@ from palpate.app.common.compile_ahead import only_compiled_code
 from palpate.app.common.compiled_code import code_digest
 from palpate.app.common.console import Console, duration_text
 from palpate.app.common.machine import keep, kept_seconds, kept_text
+from palpate.app.common.sample_block import BLOCK_SIZE, BLOCK_SPACING, sample_block, wave_time
 from palpate.app.train.folder import Folder, Job, jobs
 from palpate.dynamics.contact.tools import Contact, Sphere
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.meshfree.cloud import box
 from palpate.scenes.description import Training
 from palpate.scenes.scene import Scene
 from palpate.scenes.scene_paths import HAND_DURATION
@@ -29,8 +29,8 @@ from palpate.scenes.spacing import expected_nodes
 from palpate.scenes.tool_paths import MAX_DELAY, PHASE_TIMES, TOUCH_SECONDS
 from palpate.tissue.materials import Material
 
-BLOCK_SIZE, BLOCK_SPACING, BALL_RADIUS = 0.1, 0.0083, 0.03  # [m] of a pressed block that measures the machine
-PRESS_DEPTH, PRESS_WAVES, PRESS_FRAMES = 0.004, 30, 8  # [m], times of a wave over a spacing, and snapshots of its run
+BALL_RADIUS, PRESS_DEPTH = 0.03, 0.004  # [m] of a press on the sample block, which measures the machine
+PRESS_WAVES, PRESS_FRAMES = 30, 8  # times of a wave over a spacing, and snapshots of that run
 # of one core in docs/validation/first_start.json, until a machine is measured: a run per node and time of a wave over
 # a spacing, and compiling of what runs and what the training call [s]
 GUESSED_PACE, RUN_COMPILING, TRAINING_COMPILING = 8e-6, 60.0, 60.0
@@ -45,7 +45,7 @@ class Estimate(NamedTuple):
 
     what: str
     seconds: Mapping[str, float]
-    is_guess: bool = False  # whether this machine was never measured
+    is_guess: bool = False  # whether a part was never measured on this machine
 
     def followed_by(self, other: Estimate) -> Estimate:
         """Return the estimate of both."""
@@ -61,7 +61,7 @@ class Estimate(NamedTuple):
     def lines(self) -> list[str]:
         """Return the estimate in two lines."""
         parts = ", ".join(f"{name} {duration_text(seconds)}" for name, seconds in self.seconds.items() if seconds >= 1)
-        basis = "a guess, nothing was measured here yet" if self.is_guess else "as measured here"
+        basis = "a guess until all of it is measured here" if self.is_guess else "as measured here"
         return [self.what, f"takes about {duration_text(self.total)} if nothing else runs here ({basis}): {parts}"]
 
 
@@ -82,7 +82,7 @@ def estimate_training(scene: Scene, training: Training, path: Path, workers: int
         keep(PACE_NAME, pace)
     else:
         pace, is_compiled = kept_seconds(PACE_NAME), False
-    waves = 1.0 / _wave_time(scene.material, scene.description.body.spacing or np.inf)
+    waves = 1.0 / wave_time(scene.material, scene.description.body.spacing or np.inf)
     nodes = _count_nodes(scene)
     second = nodes * waves * (pace or GUESSED_PACE)  # of processor for a second of a run
     runs = [second * sum(_length(scene, training, job) for job in each) for each in (left, planned)]
@@ -115,22 +115,20 @@ def measure_pace(material: Material) -> float | None:
     """
     results = list[float]()
     with only_compiled_code():
-        wave = _wave_time(material, BLOCK_SPACING)
-        cloud = box((BLOCK_SIZE,) * 3, BLOCK_SPACING, jitter=0.2)
-        body, duration = EnergySolid(cloud, material, "z-"), PRESS_WAVES * wave
-        top, middle = BLOCK_SIZE + BALL_RADIUS, BLOCK_SIZE / 2
-        ball = Contact(Sphere(BALL_RADIUS), lambda t: (middle, middle, top - PRESS_DEPTH * t / duration))
-        for _ in range(2):  # the first loads the code
-            began = process_time()
-            rollout(body, [ball], duration=duration, every=duration / PRESS_FRAMES, progress=False)
-            seconds = process_time() - began
-        results.append(seconds / (len(cloud) * PRESS_WAVES))
+        body = sample_block(material)
+        seconds = [press(body) for _ in range(2)]  # the first loads the code
+        results.append(seconds[1] / (len(body.cloud) * PRESS_WAVES))
     return results[0] if results else None
 
 
-def _wave_time(material: Material, spacing: float) -> float:
-    """Return the time [s] of a pressure wave over a spacing [m]."""
-    return float(spacing / np.sqrt((material.lame + 2 * material.shear_modulus) / material.density))
+def press(body: EnergySolid) -> float:
+    """Press a ball on the sample block; return the processor time [s] of that run."""
+    duration = PRESS_WAVES * wave_time(body.material, BLOCK_SPACING)
+    top, middle = BLOCK_SIZE + BALL_RADIUS, BLOCK_SIZE / 2
+    ball = Contact(Sphere(BALL_RADIUS), lambda t: (middle, middle, top - PRESS_DEPTH * t / duration))
+    began = process_time()
+    rollout(body, [ball], duration=duration, every=duration / PRESS_FRAMES, progress=False)
+    return process_time() - began
 
 
 def _count_nodes(scene: Scene) -> float:

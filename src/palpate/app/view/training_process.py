@@ -53,8 +53,8 @@ class TrainingProcess:
         """Yield the reports of the process until it ends; the last is ``trained`` or ``failed``.
 
         ``phase`` has a text, and the time ``left`` [s] or None; that before a training also lines of an ``estimate``.
-        ``trained`` has the file of the model, and its
-        mean ``errors`` on held-out runs by name. ``failed`` has a reason.
+        ``trained`` has the file of the model, and its mean ``errors`` on held-out runs by name. ``failed`` has a
+        reason.
         """
         last: dict[str, Any] = {}
         for last in self._child.answers():

@@ -99,7 +99,8 @@ class Membrane(EnergyModel):
 
     name = "full"
     _public = (
-        "prestretch", "principal_stress", "principal_stretches", "relaxed", "tension", "thickness", "wrinkled_area",
+        "neighbours", "prestretch", "principal_stress", "principal_stretches", "relaxed", "tension", "thickness",
+        "wrinkled_area",
     )  # fmt: skip
 
     def __init__(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABCMeta, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from inspect import isabstract
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -288,7 +289,7 @@ class _Constant(ABCMeta):
         try:
             made = super().__call__(*args, **options)
         except TypeError as error:
-            if is_of_call(error):
+            if is_of_call(error) and not isabstract(cls):
                 raise argument_error(cls.__name__, cls.__init__, options, error) from None  # type: ignore[misc]  # of the class itself
             raise
         vars(made)["_constructed"] = True
@@ -508,7 +509,10 @@ class Model(Described, metaclass=_Constant):
 
     def cauchy_stress(self, displacements: Floats) -> Floats:
         """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3), for displacements (n, 3) [m]."""
-        raise NotImplementedError
+        raise InputError(
+            f"cauchy_stress must be defined by the class of a model, got {type(self).__name__} without it; "
+            "define it and quantities, or use a Solid or a Membrane"
+        )
 
     def plot(self, what: str = "displacement", axes: Any = None, *, displacements: Floats | None = None) -> Any:
         """Draw the deformed body: its surface, or its nodes where it has no surface.

@@ -41,7 +41,7 @@ from palpate.realtime.calls import model_calls
 MAX_DISTANCE_OF_A_CUT = 0.5  # largest distance of a blade from where it cut the body last, in spacings
 TURN_INTERVAL = 0.05  # [s] between turns of the normals of faces
 MEAN_CUTS, FIRST_SECONDS = 5.0, 0.03  # cuts over which their time is averaged, and the first guess [s]
-MAX_STROKES = 50  # that can be undone
+MAX_STROKES = 10  # that can be undone; each keeps a body: 9 kB a node
 MIN_VOLUME_RATIO, MAX_STRETCH = 0.4, 3.0  # of tissue that is joined again where a cut has parted it
 NO_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 

@@ -119,13 +119,6 @@ class LinearModel(CoordinateModel):
 
     # loads
 
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        return self.full.quantities
-
-    def cauchy_stress(self, displacements: Floats) -> Floats:
-        return self.full.cauchy_stress(displacements)
-
     def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
         return prepare_linear_loads(self.system, loads)
 
@@ -229,6 +222,13 @@ class LinearModel(CoordinateModel):
         return np.asarray(y + self.system.static @ g + self.system.static_rate @ rates)
 
     # results of a state
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        return self.full.quantities
+
+    def cauchy_stress(self, displacements: Floats) -> Floats:
+        return self.full.cauchy_stress(displacements)
 
     def outputs(self, state: State, prepared: PreparedLoads, work: None = None) -> Outputs:
         u, v = self.displacement(state, prepared), self.velocity(state, prepared)

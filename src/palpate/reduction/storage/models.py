@@ -26,12 +26,13 @@ MODEL_ENDINGS = {".rom": "a reduced model", ".lti": "a linear one", ".h5": "eith
 Saved = Model | Trajectory | Equilibrium
 
 
-def save(thing: Saved, path: str | Path) -> None:
+def save(model: Saved, path: str | Path) -> None:
     """Write a model, a run or an equilibrium to one file, completely or not at all; the ending names the format.
 
     Parameters
     ----------
-    thing : Model, Trajectory or Equilibrium
+    model : Model, Trajectory or Equilibrium
+        What is written.
     path : path
         ``.rom``: a reduced model; ``.lti``: a linear model; ``.h5``: one of these, or a trajectory. They are read by
         `load` and `Trajectory.load`. ``.vtkhdf``, for ParaView: the nodes and the surface of all of these, and of a
@@ -62,17 +63,17 @@ def save(thing: Saved, path: str | Path) -> None:
     >>> pt.load(path).count == model.count
     True
     """
-    if isinstance(thing, Trajectory | Equilibrium):
-        thing.save(path)
-    elif not isinstance(cast(object, thing), Model):
+    if isinstance(model, Trajectory | Equilibrium):
+        model.save(path)
+    elif not isinstance(cast(object, model), Model):
         raise InputError(
-            f"thing must be a Trajectory, an Equilibrium, a body or a reduced model, got {brief(thing)}; save those"
+            f"model must be a body, a reduced model, a Trajectory or an Equilibrium, got {brief(model)}; save those"
         )
-    elif isinstance(thing, ReducedModel | LinearModel):
-        _save_model(thing, path)
+    elif isinstance(model, ReducedModel | LinearModel):
+        _save_model(model, path)
     else:
         check_ending(path, BODY_ENDINGS, "path of a body", required=True)
-        thing.write_surface(Path(path))
+        model.write_surface(Path(path))
 
 
 def _save_model(model: ReducedModel | LinearModel, path: str | Path) -> None:
