@@ -142,7 +142,7 @@ class BladeCutter:
 
     @property
     def strokes(self) -> int:
-        """Number of strokes that `undo` can take back: of those that have cut, at most the last 50."""
+        """Number of strokes that `undo` can take back: of those that have cut, at most the last ten."""
         kept = tuple(self._strokes)  # without the lock, which a cut holds
         return len(kept) - bool(kept and kept[-1] is self.model)
 
