@@ -39,6 +39,7 @@ def idle(monkeypatch, tmp_path):
         "palpate.scenes.membrane.Membrane", "palpate.scenes.body.fill",
         "palpate.app.fit.command.fit",
         "palpate.app.run.realtime.running_session", "palpate.app.train.command.open_campaign",
+        "palpate.app.models.input.Input.training_needed", "palpate.app.train.command.estimate_training",
         "palpate.app.view.command._show",
         "palpate.app.view.server.host.serve_source",
     ):  # fmt: skip

@@ -221,7 +221,7 @@ def test_a_model_without_contact_is_refused(run, held, tmp_path, assert_refused)
         (["--realtime", "--seconds", "0"], ["--seconds", "600] s"]),
         (["--realtime", "--rate", "1"], ["--rate", "20000] Hz"]),
         (["--realtime", "--model", "nowhere.rom"], ["--model must be an existing file", "nowhere.rom"]),
-        (["--realtime", "--model", __file__], [__file__, "not a palpate reduced model"]),
+        (["--realtime", "--model", __file__], [Path(__file__).name, "must end in .rom"]),
         (["--realtime", "--full", "--model", __file__], ["--model must be left out with --full", __file__]),
         (["--realtime", "--model", __file__, "--spacing", "0.01"], ["--spacing must be left out with --model"]),
         (["--realtime", "--full", "--spacing", "0.1"], ["--spacing"]),

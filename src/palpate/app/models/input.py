@@ -37,7 +37,7 @@ class Input:
 
     def training_needed(self, console: Console) -> Estimate | None:
         """Return the estimate of the training of a model that is missing, after checks of its options, or None."""
-        if self.scene is None:
+        if self.scene is None or self.model is not None:
             return None
         from palpate.app.models.trained import training_needed
 
