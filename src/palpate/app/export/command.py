@@ -95,7 +95,7 @@ def _write_library(
     keep(MACHINE_TIME, (process_time() - began) / len(machines))
     _say(console, folder, written)
     console.say(f"build and run it: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build")
-    console.say(f"                  {folder}/build/press")
+    console.say(f"                  {folder}/build/press {folder}/{library.name}.palpate")
 
 
 def _write_page(library: Library, folder: Path, title: str, console: Console) -> None:
