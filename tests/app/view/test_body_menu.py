@@ -141,7 +141,7 @@ def test_a_reduced_model_and_its_full_body_have_the_same_end_and_nearly_the_same
     pose = {"type": "pose", "position": [END + AWAY, 0.01, 0.01], "sequence": 1}
     both.handle(validate_message(pose))
     until(lambda: all(abs(moved(each)[0] - AWAY) < 1e-5 and each.snapshot().kinetic < 1e-9 for each in both.sessions))
-    reduced, full = (each.snapshot().tools[0].force for each in (both, both.full))
+    reduced, full = (each.snapshot().tools[0].force for each in (both, both.second))
     assert reduced[0] == pytest.approx(full[0], rel=0.05)
     assert full[0] < -0.1
     both.reset()
@@ -159,7 +159,7 @@ def test_two_laws_are_pulled_side_by_side(choose, until):
     until(lambda: all(abs(moved(each)[0] - 0.02) < 1e-5 and each.snapshot().kinetic < 1e-9 for each in both.sessions))
     first, second = (abs(each.snapshot().tools[0].force[0]) for each in both.sessions)
     assert abs(first - second) > 0.02 * first
-    np.testing.assert_allclose(both.overlay(0.0).force, both.full.snapshot().tools[0].force)
+    np.testing.assert_allclose(both.overlay(0.0).force, both.second.snapshot().tools[0].force)
 
 
 @pytest.mark.quick
