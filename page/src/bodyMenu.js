@@ -12,7 +12,7 @@ const TRAINING = "Runs of the full body train these models, once for each law: a
 /** The text under the menu, and the share of the bar: null for one without end, undefined for none. */
 export function menuProgress({ state, phase, fraction, seconds_left: left, note }) {
   if (state === "failed") return { text: `This body could not be made: ${note}`, bad: true };
-  if (state !== "preparing") return { text: "" };
+  if (state !== "preparing") return { text: note };
   const time = left === null ? " …" : `: about ${duration(left)} left`;
   return { text: `${sentence(phase || "starting")}${time} The present body stays until then.`, share: fraction };
 }
@@ -32,7 +32,9 @@ export class BodyMenu {
   ask(part) {
     const { law, second, shown_modes: modes } = this.message;
     if (part.modes !== undefined) this.markModes(String(part.modes));
-    this.send({ type: "body", law, modes, second, ...part });
+    const asked = { law, modes, second, ...part };
+    if (asked.second === asked.law) asked.second = ""; // a law is not compared with itself
+    this.send({ type: "body", ...asked });
   }
 
   /** Show a message `bodies`. */
@@ -49,6 +51,7 @@ export class BodyMenu {
       Object.assign(byId("second"), { value: message.second });
       this.markModes?.(String(message.shown_modes));
     }
+    for (const option of byId("second").options) option.disabled = option.value === byId("law").value;
     byId("law-text").textContent = laws.find(({ name }) => name === byId("law").value)?.text ?? "";
     byId("modes-text").textContent = trained ? "" : TRAINING;
     const { text, share, bad } = menuProgress(message);

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -13,8 +14,9 @@ from palpate.app.common.console import Console
 from palpate.app.models.trained import compared_file, compared_modes
 from palpate.app.session.comparison import Comparison
 from palpate.app.session.messages import validate_message
-from palpate.app.session.session import Session
-from palpate.app.view.body_menu import BodyMenu, has_menu
+from palpate.app.session.session import Session, latest
+from palpate.app.view import body_menu
+from palpate.app.view.body_menu import BodyMenu, has_menu, offers_modes
 from palpate.core.faults import InputError
 from palpate.scenes.open_scene import open_scene
 
@@ -141,7 +143,7 @@ def test_a_reduced_model_and_its_full_body_have_the_same_end_and_nearly_the_same
     pose = {"type": "pose", "position": [END + AWAY, 0.01, 0.01], "sequence": 1}
     both.handle(validate_message(pose))
     until(lambda: all(abs(moved(each)[0] - AWAY) < 1e-5 and each.snapshot().kinetic < 1e-9 for each in both.sessions))
-    reduced, full = (each.snapshot().tools[0].force for each in (both, both.full))
+    reduced, full = (each.snapshot().tools[0].force for each in (both, both.second))
     assert reduced[0] == pytest.approx(full[0], rel=0.05)
     assert full[0] < -0.1
     both.reset()
@@ -159,7 +161,7 @@ def test_two_laws_are_pulled_side_by_side(choose, until):
     until(lambda: all(abs(moved(each)[0] - 0.02) < 1e-5 and each.snapshot().kinetic < 1e-9 for each in both.sessions))
     first, second = (abs(each.snapshot().tools[0].force[0]) for each in both.sessions)
     assert abs(first - second) > 0.02 * first
-    np.testing.assert_allclose(both.overlay(0.0).force, both.full.snapshot().tools[0].force)
+    np.testing.assert_allclose(both.overlay(0.0).force, both.second.snapshot().tools[0].force)
 
 
 @pytest.mark.quick
@@ -170,6 +172,7 @@ def test_choices_that_a_body_does_not_have_are_refused(scene):
         ({"law": "Hooke"}, "law must be one of"),
         ({"law": "Ogden", "modes": 5}, "modes must be one of"),
         ({"law": "Ogden", "second": "Hooke"}, "second must be one of"),
+        ({"law": "Ogden", "second": "Ogden"}, "second must be another law"),
         ({"law": "Ogden", "modes": 4, "second": "Gent"}, "second must be empty"),
     ):
         with pytest.raises(InputError, match=reason):
@@ -192,6 +195,106 @@ def test_a_training_that_fails_leaves_the_body_and_says_why(scene, until):
     assert menu.next_source() is None
     menu.handle(validate_message({"type": "body", "law": "MooneyRivlin", "modes": 0}))  # it may be tried again
     until(menu.next_source)
+    menu.close()
+
+
+def made(menu, until, **choice):
+    """Choose in the menu, and wait until the body is made."""
+    menu.handle(validate_message({"type": "body", "law": "MooneyRivlin", **choice}))
+    until(lambda: menu._next is not None)
+
+
+def test_a_body_that_cannot_start_leaves_the_former_one_running(shown, until, monkeypatch):
+    session, menu = shown
+
+    def fail(*_):
+        raise OSError("no thread is left")
+
+    made(menu, until)
+    with monkeypatch.context() as patch:
+        patch.setattr(Session, "_take_settings", fail)
+        assert menu.next_source() is None
+    assert menu.next_source() is None
+    assert (menu.message()["state"], menu.message()["note"]) == ("failed", "no thread is left")
+    assert session.engine.state == "running"
+    assert latest(session) is session
+    made(menu, until)  # it may be tried again
+    assert menu.next_source() is latest(session) is not session
+
+
+def test_a_recording_ends_with_its_body_and_the_menu_says_so(shown, until, tmp_path):
+    session, menu = shown
+    session.recordings.start(tmp_path / "first.h5")
+    made(menu, until)
+    other = menu.next_source()
+    assert menu.message()["note"] == "The recording ended with the former body."
+    assert not other.recordings.is_active
+    made(menu, until)
+    menu.next_source()
+    assert menu.message()["note"] == ""
+    until(lambda: other.notifications)
+    assert other.notifications[0]["file"] == str(tmp_path / "first.h5")
+
+
+def test_no_training_begins_after_the_page_was_closed(scene, monkeypatch):
+    trained, looked, closed = [], threading.Event(), threading.Event()
+    menu = BodyMenu(scene, Session(scene.body, "Bar", end=scene.held_group), Console(), trained.append)
+
+    def look(*given):
+        looked.set()
+        closed.wait(COMPILE_SECONDS)
+        return compared_file(*given)
+
+    monkeypatch.setattr(body_menu, "compared_file", look)
+    monkeypatch.setattr(body_menu, "JOIN_SECONDS", 0.0)
+    menu.handle(validate_message({"type": "body", "law": "MooneyRivlin", "modes": 4}))
+    assert looked.wait(COMPILE_SECONDS)
+    menu.close()
+    closed.set()
+    menu._thread.join()
+    assert not trained
+    assert menu.message()["note"] == "the page has ended"
+
+
+def test_a_body_that_was_made_and_not_shown_is_closed(scene, until, monkeypatch):
+    session, closed = Session(scene.body, "Bar", end=scene.held_group), []
+    menu = BodyMenu(scene, session, Console(), Trainer)
+    made(menu, until)
+    (unseen, _), close = menu._next, Session.close
+    monkeypatch.setattr(Session, "close", lambda each: (closed.append(each), close(each)))
+    menu.close()
+    assert closed == [unseen, session]
+
+
+def test_springs_hold_both_laws(tmp_path, until):
+    springs = '[[support]]\nname = "bed"\nkind = "springs"\nplace = { side = "z-" }\nstiffness = 1e5\n'
+    (tmp_path / "bar.toml").write_text(BAR + springs)
+    scene = open_scene(tmp_path / "bar.toml")
+    menu = BodyMenu(scene, Session(scene.body, "Bar", end=scene.held_group), Console(), Trainer)
+    made(menu, until, second="NeoHookean")
+    both = menu._next[0]
+    assert all(len(each.body.realtime.data.body.sites.foundation_node) for each in both.sessions)
+    menu.close()
+
+
+@pytest.mark.quick
+def test_a_surface_has_no_modes_whose_training_has_other_nodes(scene, tmp_path):
+    corners = "".join(f"v {x} {y} {z}\n" for x in (0, 0.06) for y in (0, 0.02) for z in (0, 0.02))
+    faces = ("1 2 4", "1 4 3", "5 7 8", "5 8 6", "1 5 6", "1 6 2", "3 4 8", "3 8 7", "1 3 7", "1 7 5", "2 6 8", "2 8 4")
+    (tmp_path / "organ.obj").write_text(corners + "".join(f"f {face}\n" for face in faces))
+    box = 'generated = "box"\nsize = [0.06, 0.02, 0.02]\n'
+    organ = BAR.replace(box, 'file = "organ.obj"\nunits = "m"\n').replace('{ group = "x-" }', '{ side = "x-" }')
+    organ = organ.replace('holds = "x+"', 'holds = "end"') + '[[support]]\nname = "end"\nplace = { side = "x+" }\n'
+    (tmp_path / "organ.toml").write_text(organ)
+    surface = open_scene(tmp_path / "organ.toml")
+    session = Session(scene.body, "Bar", end=scene.held_group)
+    assert offers_modes(scene, session)
+    assert not offers_modes(scene, Session(scene.body, "Bar"))
+    assert not offers_modes(surface, session)
+    menu = BodyMenu(surface, session, Console(), Trainer)
+    assert menu.message()["modes"] == []
+    with pytest.raises(InputError, match="modes must be one of 0 for this body"):
+        menu.handle(validate_message({"type": "body", "law": "MooneyRivlin", "modes": 4}))
     menu.close()
 
 

@@ -542,7 +542,8 @@ def test_help_needs_what_the_session_has(hello, has, lacks):
 @pytest.mark.parametrize(
     ("message", "text", "share"),
     [
-        ("state: 'ready'", "", None),
+        ("state: 'ready', note: ''", "", None),
+        ("state: 'ready', note: 'The recording ended with the former body.'", "The recording ended", None),
         ("state: 'preparing', phase: '', seconds_left: null, fraction: null", "Starting …", None),
         ("state: 'preparing', phase: 'compiling', seconds_left: 40, fraction: 0.2", "Compiling: about 40 s left", 0.2),
         ("state: 'failed', note: 'no memory'", "This body could not be made: no memory", None),

@@ -20,8 +20,9 @@ from view_scenes import BALL, MIDDLE, block
 from websockets.asyncio.client import connect
 
 from palpate.app.common.console import Console
+from palpate.app.session.comparison import Comparison
 from palpate.app.session.messages import validate_message
-from palpate.app.session.session import Session
+from palpate.app.session.session import Session, latest
 from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.app.view.command import view
@@ -181,6 +182,38 @@ def test_a_poor_model_is_used_only_if_it_is_accepted(refining, until, model_path
     assert not refinement.message()["good"]
     refinement.handle({"action": "use"})
     assert refinement.next_source() is not None
+
+
+def test_a_model_waits_behind_a_comparison_and_is_ready_again_after_another_body(refining, full, until, model_path):
+    refinement, trainers = refining
+    finish(refinement, trainers, until, model_path, GOOD)
+    both = Comparison(block().model, block().model, "Block")
+    both.continue_from(full)
+    assert refinement.message() is None
+    assert refinement.next_source() is None
+    alone = Session(block().model, "Block")
+    alone.continue_from(both)
+    used = refinement.next_source()
+    assert state(refinement) == "used"
+    alone = Session(block().model, "Block")
+    alone.continue_from(used)
+    assert state(refinement) == "ready"
+    again = refinement.next_source()
+    assert again.engine.state == "running"
+    assert again.model is used.model
+    assert latest(full) is again
+    assert state(refinement) == "used"
+
+
+def test_a_poor_model_is_accepted_for_one_time(refining, until, model_path):
+    refinement, trainers = refining
+    finish(refinement, trainers, until, model_path, BAD)
+    refinement.handle({"action": "use"})
+    alone = Session(block().model, "Block")
+    alone.continue_from(refinement.next_source())
+    assert state(refinement) == "ready"
+    assert refinement.next_source() is None
+    alone.close()
 
 
 def test_a_model_of_unmeasured_errors_does_not_take_over(refining, until, model_path):

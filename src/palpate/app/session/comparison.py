@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from palpate.app.session.messages import Message
 from palpate.app.session.session import PERIODS_PER_SECOND, Session
 from palpate.app.session.tool_control import NO_TOOL
 from palpate.core.faults import InputError
+from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.hyper.model import ReducedModel
@@ -30,51 +32,53 @@ class Comparison(Session):
 
     Both have the same nodes and the same tools at the same poses, with a rigid coupling: the tools of two springs would
     differ. Of a model with a prescribed group, forceps hold that group of the full body; they hold the `end` of two
-    solids. Each body has its own clock. While one is slower than real time and the tool moves, the two are at different
-    times.
+    solids. `foundations` are springs between the ground and each body. The session of the second body is `second`. Each
+    body has its own clock. While one is slower than real time and the tool moves, the two are at different times.
     """
 
     def __init__(
         self,
         model: ReducedModel | EnergySolid,
-        full_model: Model,
+        second: Model,
         title: str,
         rate: float = PERIODS_PER_SECOND,
         end: str = "",
+        foundations: Sequence[Foundation] = (),
     ) -> None:
         if isinstance(model, ReducedModel):
             touched, groups = model.data.compliance is not None, model.data.prescribed
         else:
             touched, groups = not end, (end,)
-        if not isinstance(full_model, EnergySolid) or not (touched or len(groups) == 1):
+        if not isinstance(second, EnergySolid) or not (touched or len(groups) == 1):
             raise InputError(
                 "model must be of a solid that a tool touches or holds to be compared, got another one; leave "
                 "--compare out"
             )
-        self.full = Session(full_model, title, rate, end="" if touched else groups[0], held=not touched)
-        super().__init__(model, title, rate, end=end, held=bool(end))
-        self.sessions = (self.full, self)
-        self.full.speed_limit = self.speed_limit
-        if not np.array_equal(self.full.surface.triangles, self.surface.triangles):
-            raise InputError("full_model must have the surface of the model, got another one; train the model again")
+        group = "" if touched else groups[0]
+        self.second = Session(second, title, rate, foundations, end=group, held=not touched)
+        super().__init__(model, title, rate, foundations, end=end, held=bool(end))
+        self.sessions = (self.second, self)
+        self.second.speed_limit = self.speed_limit
+        if not np.array_equal(self.second.surface.triangles, self.surface.triangles):
+            raise InputError("second must have the surface of the model, got another one; train the model again")
 
     def hello(self) -> dict[str, Any]:
         """Return the constant properties for `hello`."""
         names = ["reduced", "full"]
         if isinstance(self.model, EnergySolid):
-            names = [type(each.model.material).__name__ for each in (self, self.full)]
-        about = {"overlay": True, "compare": True, "compared": names, "least_radius": self.full.body.least_radius}
+            names = [type(each.model.material).__name__ for each in (self, self.second)]
+        about = {"overlay": True, "compare": True, "compared": names, "least_radius": self.second.body.least_radius}
         return {**super().hello(), **about}
 
     def statistics(self) -> dict[str, Any]:
-        """Return the statistics of the reduced model, with the pace of the slower body."""
-        reduced, full = super().statistics(), self.full.statistics()
-        return {**reduced, "pace": min(reduced["pace"], full["pace"])}
+        """Return the statistics of the first body, with the pace of the slower one."""
+        first = super().statistics()
+        return {**first, "pace": min(first["pace"], self.second.statistics()["pace"])}
 
     def overlay(self, time: float) -> OverlayState:
-        """Return positions (n, 3) [m] of the full body, and the force (3,) [N] on its tool."""
-        snapshot = self.full.snapshot()
-        return OverlayState(self.full.surface.rest + snapshot.displacements(self.full.surface), snapshot.tools[0].force)
+        """Return positions (n, 3) [m] of the second body, and the force (3,) [N] on its tool."""
+        snapshot, surface = self.second.snapshot(), self.second.surface
+        return OverlayState(surface.rest + snapshot.displacements(surface), snapshot.tools[0].force)
 
     def _steps_the_solid_of(self, former: Session) -> bool:
         """Whether the shape of another session is kept: both bodies begin at rest."""
@@ -83,7 +87,7 @@ class Comparison(Session):
     @property
     def tool_kinds(self) -> list[str]:
         """Kinds of tools for both bodies; not forceps, which would grasp different nodes, and scalpels."""
-        return [kind for kind in self.full.tool_kinds if kind not in ("grasp", "scalpel")]
+        return [kind for kind in self.second.tool_kinds if kind not in ("grasp", "scalpel")]
 
     def handle(self, message: Message) -> None:
         """Execute a message of the driver for both bodies."""
@@ -96,10 +100,10 @@ class Comparison(Session):
         if message["type"] not in SHARED_MESSAGES:
             return
         try:
-            self.full.handle(message)
+            self.second.handle(message)
         except InputError:
             self.release(message.get("index"))
             raise
-        for index, (tool, other) in enumerate(zip(self.tools, self.full.tools, strict=True)):
+        for index, (tool, other) in enumerate(zip(self.tools, self.second.tools, strict=True)):
             if (tool.active is NO_TOOL) != (other.active is NO_TOOL):  # one body is in the way of its tool
                 self.release(index)

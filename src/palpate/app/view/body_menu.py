@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -35,6 +36,14 @@ def make_trainer(scene: Scene) -> Trainer:
     return TrainingProcess(scene, compared=True)
 
 
+def offers_modes(scene: Scene, session: Session) -> bool:
+    """Return True if reduced models are compared with the body of a scene, whose end forceps pull in a session.
+
+    Not with that of a surface: the page fills it with the nodes of real time, a training with those of the scene.
+    """
+    return bool(session.end) and scene.surface is None
+
+
 def has_menu(scene: Scene) -> bool:
     """Return True if the body of a scene may have another law: a solid of one tissue, at rest as its surface is."""
     about = scene.description
@@ -60,16 +69,16 @@ class BodyMenu:
         self, scene: Scene, session: Session, console: Console, train: Callable[[Scene], Trainer] = make_trainer
     ) -> None:
         self._scene, self._console, self._train = scene, console, train
-        self._cloud, self._shown = session.model.cloud, session
+        self._cloud, self._end, self._shown = session.model.cloud, session.end, session
         self._chosen = Choice(scene.description.tissue.law)
         self._state, self._note = BODY_READY, ""
         self._progress: Callable[[], dict[str, Any]] = dict
-        self._lock, self._next = threading.Lock(), (session, self._chosen)
-        self._has_next, self._closed = False, False
+        self._lock, self._closed = threading.Lock(), False
+        self._next: tuple[Session, Choice] | None = None  # made, and not yet shown
         self._thread: threading.Thread | None = None
         self._trainer: Trainer | None = None
         self._laws = [self._describe(name) for name in offered_laws(scene.description.tissue)]
-        self._modes_offered = [NO_MODES, *compared_modes(scene)] if scene.held_group else []
+        self._modes_offered = [NO_MODES, *compared_modes(scene)] if offers_modes(scene, session) else []
         self._trained = self._is_trained(self._chosen.law)
 
     def _describe(self, name: str) -> dict[str, str]:
@@ -112,13 +121,15 @@ class BodyMenu:
         for name in ("law", "second") if choice.second else ("law",):
             if (given := message[name]) not in names:
                 raise InputError(f"body: {name} must be one of {', '.join(names)}, got {given!r}; choose one of these")
+        if choice.second == choice.law:
+            raise InputError(f"body: second must be another law than law, got {choice.law!r} twice; leave second out")
         if modes and choice.second:
             raise InputError(f"body: second must be empty with modes, got {choice.second!r}; compare one at a time")
         if modes not in (NO_MODES, *self._modes_offered):
             allowed = ", ".join(map(str, self._modes_offered or (NO_MODES,)))
             raise InputError(f"body: modes must be one of {allowed} for this body, got {modes}; choose one of these")
         with self._lock:
-            if self._state == BODY_PREPARING or self._has_next:
+            if self._state == BODY_PREPARING:
                 raise InputError("body must wait for the one that is being prepared, got another; send it again later")
             self._state, self._note = BODY_PREPARING, ""
             self._thread = threading.Thread(target=self._make, args=(choice,), name="palpate body", daemon=True)
@@ -132,23 +143,31 @@ class BodyMenu:
         try:
             session = self._session(choice)
         except Exception as error:  # of the law or the training; the body that is shown stays
-            reason = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
-            with self._lock:
-                self._state, self._note, self._progress = BODY_FAILED, reason, dict
-            self._console.say(f"no body of the law {choice.law} was made: {reason}")
+            self._fail(choice, error)
             return
         with self._lock:
-            self._next, self._has_next, self._progress = (session, choice), True, dict
+            self._next, self._progress = (session, choice), dict
+
+    def _fail(self, choice: Choice, error: Exception) -> None:
+        reason = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
+        with self._lock:
+            self._state, self._note, self._progress = BODY_FAILED, reason, dict
+        self._console.say(f"no body of the law {choice.law} was made: {reason}")
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise InputError("the page has ended")
 
     def _session(self, choice: Choice) -> Session:
         """Return the session of a body, with a reduced model or a body of another law if these are chosen."""
         body, foundations = self._body(choice.law)
-        title, end = self._scene.title, self._scene.held_group
+        title, end = self._scene.title, self._end
         session: Session
         if choice.modes:
-            session = Comparison(self._reduced(self._scene_of(choice.law), choice.modes), body, title)
+            reduced = self._reduced(self._scene_of(choice.law), choice.modes)
+            session = Comparison(reduced, body, title, foundations=foundations)
         elif choice.second:
-            session = Comparison(body, self._body(choice.second)[0], title, end=end)
+            session = Comparison(body, self._body(choice.second)[0], title, end=end, foundations=foundations)
         else:
             session = Session(body, title, foundations=foundations, end=end)
         session.subtitle, session.notes = self._shown.subtitle, self._shown.notes
@@ -174,8 +193,7 @@ class BodyMenu:
         """Begin a phase of a preparation, whose progress is that of this menu."""
         preparation.begin(phase)
         with self._lock:
-            if self._closed:
-                raise InputError("the page has ended")
+            self._check_open()
             self._progress = lambda: {
                 name: value if name != "seconds_left" or value is None else round(value)
                 for name, value in preparation.message().items()
@@ -186,7 +204,9 @@ class BodyMenu:
         """Return the reduced model of a scene with a number of modes, trained where it is missing."""
         file = compared_file(scene, modes)
         if not file.is_file():
-            trainer = self._trainer = self._train(scene)
+            with self._lock:
+                self._check_open()
+                trainer = self._trainer = self._train(scene)
             self._console.say(f"reduced models are trained in the background, and kept in {file.parent}")
             for event in trainer.events():
                 if "failed" in event:
@@ -208,20 +228,36 @@ class BodyMenu:
     def next_source(self) -> Session | None:
         """Return the running session of the body that was made, once."""
         with self._lock:
-            if not self._has_next:
-                return None
-            session, self._chosen = self._next
-            self._trained = self._is_trained(self._chosen.law)
-            session.continue_from(latest(self._shown))
-            self._shown, self._has_next, self._state = session, False, BODY_READY
-            return session
+            made, self._next = self._next, None
+        if made is None:
+            return None
+        (session, choice), former = made, latest(self._shown)
+        state, reason, recorded = former.engine.state, former.pause_reason, former.recordings.is_active
+        try:
+            session.continue_from(former)
+        except Exception as error:  # the body that is shown goes on
+            session.stop()
+            former.devices, former.successor = former.devices | session.devices, None
+            with contextlib.suppress(InputError):  # a diverged state waits for a reset
+                former.start()
+            if state != "running":
+                former.pause(reason)
+            self._fail(choice, error)
+            return None
+        with self._lock:
+            self._shown, self._chosen, self._state = session, choice, BODY_READY
+            self._note = "The recording ended with the former body." if recorded else ""
+            self._trained = self._is_trained(choice.law)
+        return session
 
     def close(self) -> None:
-        """End the making of a body, and the session of the last one."""
+        """End the making of a body, the session of the last one, and one that was made and not shown."""
         with self._lock:
             self._closed, trainer = True, self._trainer
         if trainer is not None:
             trainer.stop()
         if self._thread is not None:
             self._thread.join(JOIN_SECONDS)
+        if self._next is not None:
+            self._next[0].close()
         self._shown.close()

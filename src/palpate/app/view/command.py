@@ -156,7 +156,7 @@ def _make_session(
     from palpate.app.session.session import Session
 
     if compare:
-        return Comparison(body, full_model(body, scene), title)
+        return Comparison(body, full_model(body, scene), title, foundations=foundations)
     return Session(body, title, foundations=foundations, end=end)
 
 
@@ -243,16 +243,16 @@ def run_page(
                 wait = stack.enter_context(compile_ahead(compile_engine, tissue))
             session = stack.enter_context(running_session(opened, full, make, console, record, wait))
             from palpate.app.device.driver import driving
-            from palpate.app.view.body_menu import BodyMenu, has_menu
+            from palpate.app.view.body_menu import BodyMenu, has_menu, offers_modes
             from palpate.app.view.refinement import Refinement, is_trained
 
             preparation.end()
         makers: dict[str, Any] = {}
         if scene is not None and has_menu(scene):
             menu = makers["body"] = stack.enter_context(contextlib.closing(BodyMenu(scene, session, console)))
-            if scene.held_group and refine:
+            if refine and offers_modes(scene, session):
                 menu.compare(scene.description.training.modes)
-        if scene is not None and not (scene.held_group and makers):
+        if scene is not None and not (makers and offers_modes(scene, session)):
             makers["refine"] = stack.enter_context(contextlib.closing(Refinement(scene, session, console)))
             if refine or is_trained(scene):
                 makers["refine"].handle({"action": "start"})

@@ -53,7 +53,7 @@ def add_view(commands: Any) -> None:
     text = "with --compare: your own scene, which the model must name; also from the current folder"
     add("--scene", metavar="MODULE:FUNCTION", help=text)
     _add_address(view)
-    text = "record the session, and write it to this file when the session ends"
+    text = "record the session, and write it to this file when it ends, or another body takes the place of the first"
     add("--record", type=path, metavar="FILE.h5", help=text)
     add_yes(view)
     add_device(view)

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, percent
 from palpate.app.models.trained import model_file, training_folder
+from palpate.app.session.comparison import Comparison
 from palpate.app.session.messages import Message
 from palpate.app.session.session import Session, latest
 from palpate.app.view.training_process import TrainingProcess
@@ -67,17 +68,21 @@ class Refinement:
 
     @property
     def _is_offered(self) -> bool:
-        """Whether the body that is shown is that of the scene, or of its model: not one of another law."""
-        shown = self._shown
-        tissue = self._session.model.material
-        return shown is self._next if self._state == USED else shown.model.material == tissue
+        """Whether the body that is shown is that of the scene, or of its model: not one of another law, nor two."""
+        shown, tissue = self._shown, self._session.model.material
+        return shown is self._next or (not isinstance(shown, Comparison) and shown.model.material == tissue)
+
+    @property
+    def _present_state(self) -> str:
+        """The state, used while the model is shown: one that another body has replaced is ready again."""
+        return USED if self._next is self._shown else self._state
 
     @property
     def _shown(self) -> Session:
         return latest(self._session)
 
     def message(self) -> dict[str, Any] | None:
-        """Return the message ``refinement`` of the protocol; None while a body of another law is shown."""
+        """Return the message ``refinement`` of the protocol; None while another body or two are shown."""
         with self._lock:
             if not self._is_offered:
                 return None
@@ -87,7 +92,7 @@ class Refinement:
                 left -= now - self._phase_began
                 share = (now - self._began) / (now - self._began + left) if left > 0 else None
             return {
-                "type": "refinement", "state": self._state, "phase": self._phase.get("phase"),
+                "type": "refinement", "state": self._present_state, "phase": self._phase.get("phase"),
                 "fraction": None if share is None else round(share, 3),
                 "seconds_left": None if left is None or share is None else round(left),
                 "errors": self._errors or None, "good": self._is_good, "note": self._note,
@@ -104,8 +109,8 @@ class Refinement:
         action = message["action"]
         allowed = {"start": (OFFERED, FAILED), "stop": (TRAINING,), "use": (READY,)}[action]
         with self._lock:
-            if self._state not in allowed:
-                raise InputError(f"refine must be an action of the state {self._state!r}, got {action!r}; wait for it")
+            if (state := self._present_state) not in allowed:
+                raise InputError(f"refine must be an action of the state {state!r}, got {action!r}; wait for it")
             if action == "use":
                 self._accepted = True
             elif action == "start":
@@ -159,15 +164,19 @@ class Refinement:
     def _load(self, event: dict[str, Any]) -> None:
         """Make the session of a trained model."""
         model = load(Path(event["trained"]))
-        session = Session(model, self._session.title, foundations=self._scene.foundations)
-        session.subtitle = self._session.subtitle
-        session.notes = tuple(option_names(note) for note in self._scene.notes)
+        session = self._session_of(model)
         with self._lock:
             if not self._is_followed:
                 return
             self._state, self._phase, self._errors, self._next = READY, {}, event["errors"], session
         errors = ", ".join(f"{name} {percent(error)}" for name, error in event["errors"].items())
         self._console.say(f"a reduced model is ready; mean errors on paths not trained on: {errors or 'not measured'}")
+
+    def _session_of(self, model: Any) -> Session:
+        session = Session(model, self._session.title, foundations=self._scene.foundations)
+        session.subtitle = self._session.subtitle
+        session.notes = tuple(option_names(note) for note in self._scene.notes)
+        return session
 
     def _fail(self, reason: str) -> None:
         with self._lock:
@@ -177,27 +186,29 @@ class Refinement:
         self._console.say(f"no reduced model was trained: {reason}; the full body stays")
 
     def next_source(self) -> Session | None:
-        """Return the running session of the model, once: if accepted, or if it is good and the body not in use."""
+        """Return the running session of the model once it is accepted, or good while nobody uses the body."""
         shown = self._shown
         in_use = shown.is_touched or shown.body.cuts
         with self._lock:
-            ready = self._state == READY and self._is_offered and (self._accepted or (self._is_good and not in_use))
-            if not ready or self._next is None:
+            wanted = self._is_offered and (self._accepted or (self._is_good and not in_use))
+            if not wanted or self._present_state != READY or self._next is None:
                 return None
+            if self._next.successor is not None:  # another body has replaced it
+                self._next = self._session_of(self._next.model)
             self._note = "The recording ended with the full body." if shown.recordings.is_active else ""
             self._next.continue_from(shown)
-            self._state = USED
+            self._accepted = False
             return self._next
 
     def close(self) -> None:
         """End the training, and the session of the model; its recordings are written."""
         with self._lock:
-            used, trainer = self._state == USED, self._trainer
+            trainer = self._trainer
             if self._state == TRAINING:
                 self._state = OFFERED
         if trainer is not None:
             trainer.stop()
         if self._thread is not None:
             self._thread.join(JOIN_SECONDS)
-        if used and self._next is not None:
-            self._next.close()
+        if self._present_state == USED:
+            self._shown.close()
