@@ -449,9 +449,10 @@ def test_the_command_changes_over_and_ends_its_training_at_an_interrupt(scene, t
     assert (training_folder(scene) / "model.rom").is_file()
 
 
-def test_nothing_but_a_shown_full_body_is_refined():
+@pytest.mark.parametrize(("source", "reduced"), [("liver", True), ("membrane", False)])
+def test_nothing_but_a_shown_full_solid_is_refined(source, reduced):
     with pytest.raises(InputError, match="refine must be left out"):
-        view("liver", refine=True, reduced=True, browser=False)
+        view(source, refine=True, reduced=reduced, browser=False)
 
 
 def children(pid):

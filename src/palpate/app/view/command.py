@@ -88,6 +88,10 @@ def view(
             raise InputError(f"compare must be left out for a full body, got {source!r:.60}; give a reduced model")
         if refine and not full:
             raise InputError(f"refine must be left out unless a page shows a full body, got {source!r:.60}")
+        if refine and _is_sheet(opened):
+            raise InputError(
+                f"refine must be left out for a sheet, whose model no tool touches, got {source!r:.60}; use reduced"
+            )
         if full:
             opened = damped(opened)
         else:
@@ -114,10 +118,13 @@ class Shown(NamedTuple):
     make: MakeSession
 
 
+def _is_sheet(opened: Input) -> bool:
+    return opened.scene is not None and opened.scene.description.body.thickness is not None
+
+
 def end_of(opened: Input) -> str:
     """Return the group that forceps pull on the page: that of a solid which the tool of its scene holds, or none."""
-    scene = opened.scene
-    return scene.held_group if scene is not None and scene.description.body.thickness is None else ""
+    return "" if opened.scene is None or _is_sheet(opened) else opened.scene.held_group
 
 
 def damped(opened: Input) -> Input:
@@ -252,7 +259,7 @@ def run_page(
             menu = makers["body"] = stack.enter_context(contextlib.closing(BodyMenu(scene, session, console)))
             if refine and offers_modes(scene, session):
                 menu.compare(scene.description.training.modes)
-        if scene is not None and not (makers and offers_modes(scene, session)):
+        if scene is not None and not (_is_sheet(opened) or (makers and offers_modes(scene, session))):
             makers["refine"] = stack.enter_context(contextlib.closing(Refinement(scene, session, console)))
             if refine or is_trained(scene):
                 makers["refine"].handle({"action": "start"})
