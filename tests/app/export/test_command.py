@@ -75,7 +75,7 @@ def test_an_interrupt_states_what_is_complete(tmp_path, monkeypatch, capsys):
     trained = Estimate("Liver: 3 runs", {"runs": 3.0})
     opened = SimpleNamespace(title="Liver", training_needed=lambda console: trained, reduced=lambda console: "a model")
     monkeypatch.setattr(command, "open_input", lambda *words, **options: opened)
-    monkeypatch.setattr(command, "lower_model", lambda *_: SimpleNamespace())
+    monkeypatch.setattr(command, "lower_model", lambda *_: SimpleNamespace(name="liver"))
     monkeypatch.setattr(command, "export_c", lambda *words, **options: {})
     monkeypatch.setattr(command, "export_web", interrupted)
     monkeypatch.setattr(command, "check_page", lambda: None)
