@@ -145,7 +145,7 @@ export class Panel {
 
   /**
    * Show the depth [m] of the press in hand, null without one, or the name of the held tool whose force is shown. The
-   * way of an end that is pulled has its own place.
+   * displacement of an end that is pulled has its own place.
    */
   press(depth, newtons, name, ofEnd = false) {
     const reading = pressReading(depth, newtons, !this.beyond && !this.through);
